@@ -1,0 +1,37 @@
+//! Rotations, rigid transforms, fields of view, projections and frustums, in `f64`.
+//!
+//! One convention for the whole toolkit: right-handed, metres, y up, −z forward (OpenXR's). A transform is
+//! called `a_from_b` and takes coordinates in `b` to coordinates in `a`; products cancel by spelling:
+//! `world_from_eye = world_from_head * head_from_eye`. The one cast to `f32` happens in the renderer, after
+//! everything has been made relative to the camera. It depends on nothing else of Vergence.
+//!
+//! ```
+//! use vergence_geom::{Fov, Rigid, project};
+//! let fov = Fov::symmetric(60f64.to_radians(), 1.0).unwrap();
+//! let eye_from_world = Rigid::translation(0.032, 0.0, 0.0);
+//! let ndc = project(&fov, &(eye_from_world * nalgebra::Point3::new(0.0, 0.0, -2.0))).unwrap();
+//! assert!((ndc.x - 0.016 / 30f64.to_radians().tan()).abs() < 1e-15);
+//! ```
+#![forbid(unsafe_code)]
+
+mod affine;
+mod fov;
+mod frustum;
+mod ray;
+
+pub use affine::{Affine, Trs};
+pub use fov::{Fov, FovError, clip_from_eye, eye_depth_from_clip_depth, project};
+pub use frustum::{Frustum, Plane};
+pub use ray::Ray;
+
+/// A rigid transform: rotation (unit Hamilton quaternion, stored x y z w) and translation in metres.
+pub type Rigid = nalgebra::Isometry3<f64>;
+
+/// One eye of one frame: where it is and what it sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Takes eye coordinates (x right, y up, −z forward, metres) to world coordinates.
+    pub world_from_eye: Rigid,
+    /// Angles of the four sides of the image, as seen from the eye.
+    pub fov: Fov,
+}

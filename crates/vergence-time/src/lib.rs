@@ -1,0 +1,130 @@
+//! Instants and durations of the session, as integers.
+//!
+//! Every sample, pose and frame carries a [`Timestamp`]: whole nanoseconds on one named clock. Integers are
+//! exact over the age of the universe that fits into 64 bits, order totally, and replay bit for bit; a float
+//! does none of these. There is no "no time" value: absence is `Option`.
+//!
+//! This crate reads no clock. Who needs to wait or to ask for "now" is handed a [`Clock`]; tests hand over a
+//! [`HandClock`] that they move themselves. It depends on nothing else of Vergence.
+//!
+//! ```
+//! use vergence_time::{Span, Timestamp};
+//! let shown = Timestamp::from_nanos(2_000_000_000);
+//! let located = Timestamp::from_nanos(1_989_000_000);
+//! assert_eq!(shown.since(located), Some(Span::from_millis(11)));
+//! ```
+#![forbid(unsafe_code)]
+
+mod clock;
+
+pub use clock::{Clock, HandClock, HostClock};
+
+/// An instant: nanoseconds since the epoch of its clock. Negative instants are legal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct Timestamp(i64);
+
+/// A signed duration in nanoseconds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct Span(i64);
+
+impl Timestamp {
+    /// The instant `nanos` nanoseconds after the epoch of its clock.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// Nanoseconds since the epoch of its clock.
+    pub const fn as_nanos(self) -> i64 {
+        self.0
+    }
+
+    /// The span from `earlier` to `self` (negative where `earlier` is later); `None` where it does not fit in
+    /// 64 bits.
+    pub const fn since(self, earlier: Self) -> Option<Span> {
+        match self.0.checked_sub(earlier.0) {
+            Some(nanos) => Some(Span(nanos)),
+            None => None,
+        }
+    }
+
+    /// The instant `span` later; `None` on overflow.
+    pub const fn checked_add(self, span: Span) -> Option<Self> {
+        match self.0.checked_add(span.0) {
+            Some(nanos) => Some(Self(nanos)),
+            None => None,
+        }
+    }
+
+    /// The instant `span` later, held at the end of the representable range.
+    pub const fn saturating_add(self, span: Span) -> Self {
+        Self(self.0.saturating_add(span.0))
+    }
+}
+
+impl Span {
+    /// No time at all.
+    pub const ZERO: Self = Self(0);
+
+    /// A span of `nanos` nanoseconds.
+    pub const fn from_nanos(nanos: i64) -> Self {
+        Self(nanos)
+    }
+
+    /// A span of `millis` milliseconds, held at the end of the representable range.
+    pub const fn from_millis(millis: i64) -> Self {
+        Self(millis.saturating_mul(1_000_000))
+    }
+
+    /// The span nearest to `secs` seconds; `None` where `secs` is not finite or does not fit.
+    pub fn from_secs_f64(secs: f64) -> Option<Self> {
+        let nanos = (secs * 1e9).round();
+        // 2^63 is exact in f64; i64::MAX is not.
+        (nanos >= -(2f64.powi(63)) && nanos < 2f64.powi(63)).then_some(Self(nanos as i64))
+    }
+
+    /// Whole nanoseconds.
+    pub const fn as_nanos(self) -> i64 {
+        self.0
+    }
+
+    /// Seconds, rounded to `f64` (exact up to 104 days).
+    pub fn as_secs_f64(self) -> f64 {
+        self.0 as f64 * 1e-9
+    }
+
+    /// Milliseconds, rounded to `f64`.
+    pub fn as_millis_f64(self) -> f64 {
+        self.0 as f64 * 1e-6
+    }
+
+    /// `factor` times this span; `None` on overflow.
+    pub const fn checked_mul(self, factor: i64) -> Option<Self> {
+        match self.0.checked_mul(factor) {
+            Some(nanos) => Some(Self(nanos)),
+            None => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn subtraction_is_checked() {
+        let (first, last) = (Timestamp::from_nanos(i64::MIN), Timestamp::from_nanos(i64::MAX));
+        assert_eq!(last.since(first), None);
+        assert_eq!(first.checked_add(Span::from_nanos(-1)), None);
+        assert_eq!(first.saturating_add(Span::from_nanos(-1)), first);
+        assert_eq!(Timestamp::from_nanos(-5).since(Timestamp::from_nanos(7)), Some(Span::from_nanos(-12)));
+    }
+
+    #[test]
+    fn seconds_round_to_the_nearest_nanosecond_and_refuse_what_does_not_fit() {
+        assert_eq!(Span::from_secs_f64(1.000_000_000_4), Some(Span::from_nanos(1_000_000_000)));
+        assert_eq!(Span::from_secs_f64(-0.5), Some(Span::from_millis(-500)));
+        for secs in [f64::NAN, f64::INFINITY, 1e10, -1e10] {
+            assert_eq!(Span::from_secs_f64(secs), None, "{secs}");
+        }
+    }
+}

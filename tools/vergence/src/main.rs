@@ -1,0 +1,3 @@
+//! The one command-line tool of Vergence.
+
+fn main() {}
