@@ -1,3 +1,43 @@
-//! The one command-line tool of Vergence.
+//! The one command-line tool of Vergence: parse, resolve, call the library, print.
+//!
+//! One verb, one file. A verb is a `clap::Args` struct with a method `run(self) -> Result<(), Failure>`; it prints
+//! for people, or with `--json` one object as the last thing on stdout. Logs and progress go to stderr. Exit status:
+//! 0 done, 1 the work failed, 2 the call was wrong.
 
-fn main() {}
+mod failure;
+mod logging;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::failure::Failure;
+
+/// Open XR and interaction-research toolkit.
+#[derive(Parser)]
+#[command(name = "vergence", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Say more on stderr: -v what is done, -vv in detail
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+}
+
+#[derive(Subcommand)]
+enum Verb {}
+
+impl Verb {
+    fn run(self) -> Result<(), Failure> {
+        match self {}
+    }
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    logging::start(cli.verbose);
+    match cli.verb.run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(),
+    }
+}

@@ -1,0 +1,48 @@
+//! How a verb ends when it does not end well.
+
+use std::process::ExitCode;
+
+/// Why a verb did not do what was asked; becomes the exit status.
+#[derive(Debug)]
+pub enum Failure {
+    /// The work failed: exit status 1.
+    Work(String),
+    /// The call was wrong, or asks for what this machine cannot give: exit status 2.
+    Call(String),
+}
+
+impl Failure {
+    /// The work failed for the reason `error`, with all its causes.
+    pub fn work(error: &dyn std::error::Error) -> Self {
+        Self::Work(with_causes(error))
+    }
+
+    /// The call was wrong for the reason `error`, with all its causes.
+    pub fn call(error: &dyn std::error::Error) -> Self {
+        Self::Call(with_causes(error))
+    }
+
+    /// Says it on stderr and gives the exit status.
+    pub fn report(&self) -> ExitCode {
+        let (Self::Work(sentence) | Self::Call(sentence)) = self;
+        eprintln!("vergence: {sentence}");
+        match self {
+            Self::Work(_) => ExitCode::from(1),
+            Self::Call(_) => ExitCode::from(2),
+        }
+    }
+}
+
+fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut sentence = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        let inner_sentence = inner.to_string();
+        if !sentence.contains(&inner_sentence) {
+            sentence.push_str(": ");
+            sentence.push_str(&inner_sentence);
+        }
+        cause = inner.source();
+    }
+    sentence
+}
