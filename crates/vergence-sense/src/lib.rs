@@ -1,0 +1,80 @@
+//! What devices say: poses, buttons, axes, hand joints, gaze, each with how far it can be trusted.
+//!
+//! A reading is a [`Sample`]: a value, the instant it holds for and the instant it arrived. Loss of tracking is data
+//! ([`Tracking::Lost`]), never an error and never a made-up number: a value that is not known cannot be read. This
+//! crate does no I/O and knows no device.
+//!
+//! ```
+//! use vergence_sense::{Hand, Pose, Tracking};
+//! let lost = Pose::LOST;
+//! assert_eq!(lost.reference_from_device(), None);
+//! let seen = Pose::tracked(vergence_geom::Rigid::translation(0.2, 1.3, -0.5));
+//! assert_eq!(seen.position_tracking, Tracking::Measured);
+//! assert_eq!(Hand::Left.other(), Hand::Right);
+//! ```
+#![forbid(unsafe_code)]
+
+mod body;
+mod control;
+mod pose;
+
+pub use body::{Gaze, HandJoint, HandJoints, JOINTS_PER_HAND, JointPose};
+pub use control::{Axis, Button, Haptic, Vector2};
+pub use pose::{Pose, Tracking, Velocity};
+
+use vergence_time::Timestamp;
+
+/// One reading of one stream.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample<T> {
+    /// The instant for which the value holds, session time.
+    pub captured: Timestamp,
+    /// The instant at which it reached us, session time.
+    pub arrived: Timestamp,
+    /// What was read.
+    pub value: T,
+}
+
+/// Which hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Hand {
+    /// The user's left.
+    Left,
+    /// The user's right.
+    Right,
+}
+
+impl Hand {
+    /// Both, left first; the order of every pair of values for hands.
+    pub const BOTH: [Self; 2] = [Self::Left, Self::Right];
+
+    /// Place in a pair of values for hands: 0 left, 1 right.
+    pub const fn index(self) -> usize {
+        match self {
+            Self::Left => 0,
+            Self::Right => 1,
+        }
+    }
+
+    /// The hand on the other side.
+    pub const fn other(self) -> Self {
+        match self {
+            Self::Left => Self::Right,
+            Self::Right => Self::Left,
+        }
+    }
+
+    /// `left` or `right`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Right => "right",
+        }
+    }
+}
+
+impl std::fmt::Display for Hand {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
