@@ -1,0 +1,161 @@
+//! The toolkit's shaders: WGSL in `shaders/`, compiled to SPIR-V at build time, so that neither building nor
+//! running needs a shader compiler. It depends on nothing else of Vergence.
+//!
+//! `surface.wgsl` exists once for each [`Variant`]: what a surface does not need is not in its shader at all (a
+//! software device such as lavapipe would execute it). The number of views and of lights is written into the
+//! module when a pipeline is made, so that loops over them have a constant length, which drivers unroll.
+//!
+//! ```
+//! use vergence_shaders::{Coverage, Law, Variant};
+//! let plain = Variant {
+//!     law: Law::MetallicRoughness,
+//!     coverage: Coverage::Opaque,
+//!     base_color_texture: false,
+//!     metallic_roughness_texture: false,
+//!     normal_texture: false,
+//!     occlusion_texture: false,
+//!     emissive_texture: false,
+//!     vertex_colors: false,
+//!     many_uvs: false,
+//! };
+//! let module = vergence_shaders::surface_fragment(&plain, 2, 1).unwrap();
+//! assert_eq!(module.words()[0], 0x0723_0203);
+//! ```
+#![forbid(unsafe_code)]
+
+mod variant;
+
+use std::sync::LazyLock;
+
+pub use variant::{Coverage, Law, Variant};
+
+include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+
+/// Largest number of views in one pass: the length of the array in the shaders.
+pub const MAX_VIEWS: u32 = 4;
+/// Largest number of lights: the length of the array in the shaders.
+pub const MAX_LIGHTS: u32 = 64;
+/// Threads per workgroup of [`SKIN_SKIN`].
+pub const SKIN_GROUP: u32 = 64;
+
+const VIEW_COUNT: u32 = 0xF1E5_0001;
+const LIGHT_COUNT: u32 = 0xF1E5_0002;
+
+static BLOB: LazyLock<Vec<u32>> = LazyLock::new(|| {
+    let bytes = include_bytes!(concat!(env!("OUT_DIR"), "/shaders.spv"));
+    bytes.chunks_exact(4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]])).collect()
+});
+
+/// One entry point, as it was compiled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shader {
+    entry: &'static str,
+    start: usize,
+    end: usize,
+}
+
+/// SPIR-V, ready for a pipeline.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Module {
+    entry: &'static str,
+    words: Vec<u32>,
+}
+
+impl Shader {
+    /// The SPIR-V for `views` views and `lights` lights (1…[`MAX_VIEWS`], 0…[`MAX_LIGHTS`], held at these ends;
+    /// shaders without such loops ignore them).
+    pub fn module(&self, views: u32, lights: u32) -> Module {
+        let mut words = BLOB[self.start..self.end].to_vec();
+        set_counts(&mut words, views.clamp(1, MAX_VIEWS), lights.min(MAX_LIGHTS));
+        Module { entry: self.entry, words }
+    }
+}
+
+impl Module {
+    /// Name of the entry point.
+    pub fn entry(&self) -> &'static str {
+        self.entry
+    }
+
+    /// The module.
+    pub fn words(&self) -> &[u32] {
+        &self.words
+    }
+}
+
+/// The vertex stage of a surface; `None` for a variant that makes no sense (see [`Variant::all_fragment`]).
+pub fn surface_vertex(variant: &Variant, views: u32) -> Option<Module> {
+    Some(find(SURFACE_VERTEX_VARIANTS, variant.vertex_only().key(), "vertex")?.module(views, 0))
+}
+
+/// The fragment stage of a surface; `None` for a variant that makes no sense (see [`Variant::all_fragment`]).
+pub fn surface_fragment(variant: &Variant, views: u32, lights: u32) -> Option<Module> {
+    Some(find(SURFACE_FRAGMENT_VARIANTS, variant.key(), "fragment")?.module(views, lights))
+}
+
+fn find(table: &[(u32, u32, u32)], key: u32, entry: &'static str) -> Option<Shader> {
+    let row = table.binary_search_by_key(&key, |row| row.0).ok()?;
+    let (_, start, end) = table[row];
+    Some(Shader { entry, start: start as usize, end: end as usize })
+}
+
+/// Replaces the two counts where they are declared as constants (`OpConstant`, opcode 43, four words).
+fn set_counts(words: &mut [u32], views: u32, lights: u32) {
+    const HEADER_WORDS: usize = 5;
+    const OP_CONSTANT_OF_ONE_WORD: u32 = 4 << 16 | 43;
+    let mut at = HEADER_WORDS;
+    while at < words.len() {
+        if words[at] == OP_CONSTANT_OF_ONE_WORD {
+            match words[at + 3] {
+                VIEW_COUNT => words[at + 3] = views,
+                LIGHT_COUNT => words[at + 3] = lights,
+                _ => {}
+            }
+        }
+        at += (words[at] >> 16).max(1) as usize;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const IMAGE_SAMPLE_IMPLICIT_LOD: u32 = 87;
+    const KILL: u32 = 252;
+
+    fn count(words: &[u32], opcode: u32) -> usize {
+        let (mut at, mut found) = (5, 0);
+        while at < words.len() {
+            found += usize::from(words[at] & 0xFFFF == opcode);
+            at += (words[at] >> 16) as usize;
+        }
+        found
+    }
+
+    /// A surface fetches exactly the textures it has, and only a mask discards.
+    #[test]
+    fn a_variant_holds_what_it_needs_and_nothing_else() {
+        for variant in Variant::all_fragment() {
+            let fragment = surface_fragment(&variant, 2, 3).unwrap();
+            assert_eq!(count(fragment.words(), IMAGE_SAMPLE_IMPLICIT_LOD), variant.textures(), "{variant:?}");
+            assert_eq!(count(fragment.words(), KILL) > 0, variant.coverage == Coverage::Mask, "{variant:?}");
+            assert!(surface_vertex(&variant, 2).is_some(), "{variant:?}");
+        }
+    }
+
+    #[test]
+    fn counts_are_written_once_and_nowhere_else() {
+        let plain = Variant::all_fragment().into_iter().find(|v| v.law == Law::MetallicRoughness).unwrap();
+        let a = surface_fragment(&plain, 2, 3).unwrap();
+        let b = surface_fragment(&plain, 4, 7).unwrap();
+        let differing = a.words().iter().zip(b.words()).filter(|(a, b)| a != b).count();
+        assert_eq!(differing, 2);
+        assert!(!b.words().contains(&VIEW_COUNT) && !b.words().contains(&LIGHT_COUNT));
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        let plain = Variant::all_fragment()[0];
+        assert!(surface_fragment(&Variant { normal_texture: true, ..plain }, 2, 1).is_none());
+    }
+}

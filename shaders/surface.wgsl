@@ -1,0 +1,365 @@
+// Surfaces: every mesh of a scene, lit and textured, for all views in one pass.
+//
+// Lines between `//#if FLAG` and `//#endif` exist only in variants that set FLAG (vergence-shaders' build script):
+// inputs, bindings and texture fetches that a surface does not need are not there at all. With every line kept,
+// the file is plain WGSL.
+//
+// Frames: `part` = the part of a mesh that is drawn (origin at its own centre), `eye` = one view, `head` = the
+// first view's frame, shared by all views, where shading happens. All matrices were composed in f64 relative to
+// the camera: no world coordinate ever reaches this file.
+
+// Set when a pipeline is made (see vergence-shaders): loops over them have a constant length.
+const VIEW_COUNT: u32 = 0xF1E50001u;
+const LIGHT_COUNT: u32 = 0xF1E50002u;
+
+const PI: f32 = 3.14159265358979;
+// Perceptual roughness below this is drawn as this: its square's square is still a normal f32.
+const LEAST_ROUGHNESS: f32 = 1e-4;
+// Grazing views are shaded as if seen under this cosine.
+const LEAST_COSINE: f32 = 1e-4;
+
+struct View {
+    // Scale and offset of the projection: clip.x = x·clip.x + z·clip.y, clip.y = y·clip.z + z·clip.w.
+    clip: vec4f,
+    // Where the eye is in head coordinates, metres; w: near plane, metres.
+    eye_in_head: vec4f,
+    // The direction through pixel coordinates (0, 0), of depth 1, and its change per pixel, in head coordinates.
+    ray: vec4f,
+    ray_per_x: vec4f,
+    ray_per_y: vec4f,
+}
+
+struct Light {
+    // xyz·: position in head coordinates (w = 1), or direction towards a light at infinity (w = 0), unit.
+    position: vec4f,
+    // Linear RGB times intensity; w: 1 / range², 0 where there is none.
+    color: vec4f,
+    // Where a spot shines to, unit; w: scale of the cone's cosine (0 for other lights).
+    axis: vec4f,
+    // x: offset of the cone's cosine (1 for other lights).
+    cone: vec4f,
+}
+
+struct Frame {
+    views: array<View, 4>,
+    // Irradiance from everywhere; linear RGB.
+    ambient: vec4f,
+    lights: array<Light, 64>,
+}
+
+struct Material {
+    base_color: vec4f,
+    // w: occlusion strength.
+    emissive: vec4f,
+    // Metallic-roughness: metallic, roughness, reflectance at normal incidence. Blinn-Phong: specular RGB.
+    // w: alpha cutoff.
+    law: vec4f,
+    // Normal scale; Blinn-Phong: exponent, normalisation.
+    more: vec4f,
+    // Two rows for each texture (base colour, metallic-roughness, normal, occlusion, emissive): weights of
+    // (u₀, v₀, u₁, v₁); offsets follow, two textures per row.
+    uv_rows: array<vec4f, 10>,
+    uv_offsets: array<vec4f, 3>,
+}
+
+struct Draw {
+    // Index of the first row in `transforms`.
+    transform: u32,
+    // Index into `materials`.
+    material: u32,
+}
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+// For each part: three rows of head_from_part for normals (first w: sign of the determinant), then for each view
+// three rows of eye_from_part.
+@group(0) @binding(1) var<storage, read> transforms: array<vec4f>;
+@group(0) @binding(2) var<storage, read> materials: array<Material>;
+var<immediate> draw: Draw;
+
+//#if BASE_COLOR_TEXTURE
+@group(1) @binding(0) var base_color_texture: texture_2d<f32>;
+@group(1) @binding(5) var base_color_sampler: sampler;
+//#endif
+//#if METALLIC_ROUGHNESS_TEXTURE
+@group(1) @binding(1) var metallic_roughness_texture: texture_2d<f32>;
+@group(1) @binding(6) var metallic_roughness_sampler: sampler;
+//#endif
+//#if NORMAL_TEXTURE
+@group(1) @binding(2) var normal_texture: texture_2d<f32>;
+@group(1) @binding(7) var normal_sampler: sampler;
+//#endif
+//#if OCCLUSION_TEXTURE
+@group(1) @binding(3) var occlusion_texture: texture_2d<f32>;
+@group(1) @binding(8) var occlusion_sampler: sampler;
+//#endif
+//#if EMISSIVE_TEXTURE
+@group(1) @binding(4) var emissive_texture: texture_2d<f32>;
+@group(1) @binding(9) var emissive_sampler: sampler;
+//#endif
+
+struct Vertex {
+    @location(0) position: vec3f,
+//#if LIT
+    @location(1) normal: vec3f,
+//#endif
+//#if NORMAL_TEXTURE
+    @location(2) tangent: vec4f,
+//#endif
+//#if UV
+    @location(3) uv: vec2f,
+//#endif
+//#if MANY_UVS
+    @location(4) uv1: vec2f,
+//#endif
+//#if VERTEX_COLORS
+    @location(5) color: vec4f,
+//#endif
+}
+
+struct Varying {
+    @builtin(position) position: vec4f,
+//#if LIT
+    @location(1) normal: vec3f,
+//#endif
+//#if NORMAL_TEXTURE
+    @location(2) tangent: vec4f,
+//#endif
+//#if UV
+    @location(3) uv: vec2f,
+//#endif
+//#if MANY_UVS
+    @location(4) uv1: vec2f,
+//#endif
+//#if VERTEX_COLORS
+    @location(5) color: vec4f,
+//#endif
+}
+
+//#if VERTEX
+@vertex
+fn vertex(in: Vertex, @builtin(view_index) view_index: u32) -> Varying {
+    // A choice among values that are the same for the whole draw is cheaper than an index that differs by view.
+    let first = draw.transform + 3u;
+    var x = transforms[first];
+    var y = transforms[first + 1u];
+    var z = transforms[first + 2u];
+    var clip = frame.views[0].clip;
+    for (var v = 1u; v < VIEW_COUNT; v++) {
+        let here = v == view_index;
+        x = select(x, transforms[first + 3u * v], here);
+        y = select(y, transforms[first + 3u * v + 1u], here);
+        z = select(z, transforms[first + 3u * v + 2u], here);
+        clip = select(clip, frame.views[v].clip, here);
+    }
+    let p = vec3f(
+        dot(x.xyz, in.position) + x.w,
+        dot(y.xyz, in.position) + y.w,
+        dot(z.xyz, in.position) + z.w,
+    );
+    var out: Varying;
+    // Reversed depth without a far plane: 1 at the near plane, 0 at infinity.
+    let near = frame.views[0].eye_in_head.w;
+    out.position = vec4f(p.x * clip.x + p.z * clip.y, p.y * clip.z + p.z * clip.w, near, -p.z);
+//#if LIT
+    let nx = transforms[draw.transform];
+    let ny = transforms[draw.transform + 1u];
+    let nz = transforms[draw.transform + 2u];
+    out.normal = vec3f(dot(nx.xyz, in.normal), dot(ny.xyz, in.normal), dot(nz.xyz, in.normal));
+//#endif
+//#if NORMAL_TEXTURE
+    // Tangents go with the surface. The rows above are those of the first view, which is the head.
+    let tx = transforms[first].xyz;
+    let ty = transforms[first + 1u].xyz;
+    let tz = transforms[first + 2u].xyz;
+    let t = vec3f(dot(tx, in.tangent.xyz), dot(ty, in.tangent.xyz), dot(tz, in.tangent.xyz));
+    // Unit length for both: the bitangent is their cross product.
+    out.tangent = vec4f(t * inverseSqrt(max(dot(t, t), 1e-30)), in.tangent.w * nx.w);
+    out.normal = out.normal * inverseSqrt(max(dot(out.normal, out.normal), 1e-30));
+//#endif
+//#if UV
+    out.uv = in.uv;
+//#endif
+//#if MANY_UVS
+    out.uv1 = in.uv1;
+//#endif
+//#if VERTEX_COLORS
+    out.color = in.color;
+//#endif
+    return out;
+}
+//#endif
+
+//#if FRAGMENT
+//#if MANY_UVS
+// Texture coordinates of texture `i`: any affine function of both sets.
+fn texture_uv(i: u32, uv: vec4f) -> vec2f {
+    let offsets = materials[draw.material].uv_offsets[i / 2u];
+    let offset = select(offsets.xy, offsets.zw, (i & 1u) == 1u);
+    let u = dot(materials[draw.material].uv_rows[2u * i], uv);
+    let v = dot(materials[draw.material].uv_rows[2u * i + 1u], uv);
+    return vec2f(u, v) + offset;
+}
+//#endif
+
+//#if LIT
+fn unit(v: vec3f) -> vec3f {
+    return v * inverseSqrt(max(dot(v, v), 1e-30));
+}
+//#endif
+
+@fragment
+fn fragment(
+    in: Varying,
+//#if LIT
+    @builtin(front_facing) front_facing: bool,
+    @builtin(view_index) view_index: u32,
+//#endif
+) -> @location(0) vec4f {
+//#if MANY_UVS
+    let uvs = vec4f(in.uv, in.uv1);
+    let uv_base_color = texture_uv(0u, uvs);
+    let uv_metallic_roughness = texture_uv(1u, uvs);
+    let uv_normal = texture_uv(2u, uvs);
+    let uv_occlusion = texture_uv(3u, uvs);
+    let uv_emissive = texture_uv(4u, uvs);
+//#endif
+//#if ONE_UV
+    let uv_base_color = in.uv;
+    let uv_metallic_roughness = in.uv;
+    let uv_normal = in.uv;
+    let uv_occlusion = in.uv;
+    let uv_emissive = in.uv;
+//#endif
+    var base = materials[draw.material].base_color;
+//#if BASE_COLOR_TEXTURE
+    base *= textureSample(base_color_texture, base_color_sampler, uv_base_color);
+//#endif
+//#if VERTEX_COLORS
+    base *= in.color;
+//#endif
+//#if METALLIC_ROUGHNESS_TEXTURE
+    let metallic_roughness =
+        textureSample(metallic_roughness_texture, metallic_roughness_sampler, uv_metallic_roughness).bg;
+//#endif
+//#if NORMAL_TEXTURE
+    var bump = textureSample(normal_texture, normal_sampler, uv_normal).xyz * 2.0 - 1.0;
+//#endif
+//#if OCCLUSION_TEXTURE
+    let open = textureSample(occlusion_texture, occlusion_sampler, uv_occlusion).r;
+//#endif
+//#if EMISSIVE_TEXTURE
+    let glow = textureSample(emissive_texture, emissive_sampler, uv_emissive).rgb;
+//#endif
+//#if MASK
+    if (base.a < materials[draw.material].law.w) {
+        discard;
+    }
+//#endif
+//#if UNLIT
+    var color = base.rgb;
+//#endif
+//#if LIT
+    var eye = frame.views[0].eye_in_head.xyz;
+    var ray = frame.views[0].ray.xyz;
+    var ray_per_x = frame.views[0].ray_per_x.xyz;
+    var ray_per_y = frame.views[0].ray_per_y.xyz;
+    for (var v = 1u; v < VIEW_COUNT; v++) {
+        let here = v == view_index;
+        eye = select(eye, frame.views[v].eye_in_head.xyz, here);
+        ray = select(ray, frame.views[v].ray.xyz, here);
+        ray_per_x = select(ray_per_x, frame.views[v].ray_per_x.xyz, here);
+        ray_per_y = select(ray_per_y, frame.views[v].ray_per_y.xyz, here);
+    }
+    // The point that this pixel shows: position.w is 1 / depth.
+    let along = ray + in.position.x * ray_per_x + in.position.y * ray_per_y;
+    let p = eye + along * (1.0 / in.position.w);
+    let to_eye = -unit(along);
+//#if NORMAL_TEXTURE
+    bump = vec3f(bump.xy * materials[draw.material].more.x, bump.z);
+    let bitangent = cross(in.normal, in.tangent.xyz) * in.tangent.w;
+    var normal = unit(in.tangent.xyz * bump.x + bitangent * bump.y + in.normal * bump.z);
+//#endif
+//#if SMOOTH
+    var normal = unit(in.normal);
+//#endif
+    normal = select(-normal, normal, front_facing);
+    let nv = max(dot(normal, to_eye), LEAST_COSINE);
+    let law = materials[draw.material].law;
+//#if METALLIC_ROUGHNESS
+    var metallic = law.x;
+    var roughness = law.y;
+//#if METALLIC_ROUGHNESS_TEXTURE
+    metallic *= metallic_roughness.x;
+    roughness *= metallic_roughness.y;
+//#endif
+    roughness = max(roughness, LEAST_ROUGHNESS);
+    let alpha = roughness * roughness;
+    let alpha2 = alpha * alpha;
+    let f0 = mix(vec3f(law.z), base.rgb, metallic);
+    let diffuse = base.rgb * ((1.0 - metallic) * (1.0 / PI));
+    let smith_v = sqrt(nv * nv * (1.0 - alpha2) + alpha2);
+    // What a GGX surface reflects of the same light from everywhere (Karis 2014, mobile fit).
+    let fit = roughness * vec4f(-1.0, -0.0275, -0.572, 0.022) + vec4f(1.0, 0.0425, 1.04, -0.04);
+    let bent = min(fit.x * fit.x, exp2(-9.28 * nv)) * fit.x + fit.y;
+    let everywhere = f0 * (fit.z - 1.04 * bent) + (fit.w + 1.04 * bent);
+    var ambient = diffuse * (1.0 - everywhere) + everywhere * (1.0 / PI);
+//#endif
+//#if BLINN_PHONG
+    let diffuse = base.rgb * (1.0 / PI);
+    var ambient = diffuse;
+    let exponent = materials[draw.material].more.y;
+    let lobe = law.xyz * materials[draw.material].more.z;
+//#endif
+//#if OCCLUSION_TEXTURE
+    ambient *= 1.0 + materials[draw.material].emissive.w * (open - 1.0);
+//#endif
+    var color = frame.ambient.rgb * ambient;
+    for (var i = 0u; i < LIGHT_COUNT; i++) {
+        // One formula for all kinds: at infinity the distance is 1, without a cone its factor is 1.
+        let light_position = frame.lights[i].position;
+        let light_color = frame.lights[i].color;
+        let axis = frame.lights[i].axis;
+        let offset = light_position.xyz - p * light_position.w;
+        let distance2 = max(dot(offset, offset), 1e-8);
+        let inverse = inverseSqrt(distance2);
+        let to_light = offset * inverse;
+        let reach = distance2 * light_color.w;
+        let window = clamp(1.0 - reach * reach, 0.0, 1.0);
+        let cone = clamp(-dot(axis.xyz, to_light) * axis.w + frame.lights[i].cone.x, 0.0, 1.0);
+        let nl = clamp(dot(normal, to_light), 0.0, 1.0);
+        let irradiance = light_color.rgb * (nl * inverse * inverse * window * cone * cone);
+        let half_way = unit(to_light + to_eye);
+        let nh = max(dot(normal, half_way), 0.0);
+//#if METALLIC_ROUGHNESS
+        // GGX with height-correlated Smith (Heitz 2014). |n × h|² instead of 1 − (n·h)²: no cancellation.
+        let away = cross(normal, half_way);
+        let peak = alpha / max(nh * nh * alpha2 + dot(away, away), 1e-17);
+        let smith_l = sqrt(nl * nl * (1.0 - alpha2) + alpha2);
+        let visible = 0.5 / max(nl * smith_v + nv * smith_l, 1e-7);
+        let grazing = 1.0 - clamp(dot(to_eye, half_way), 0.0, 1.0);
+        let grazing2 = grazing * grazing;
+        let fresnel = f0 + (1.0 - f0) * (grazing2 * grazing2 * grazing);
+        let specular = fresnel * (peak * peak * visible * (1.0 / PI));
+        color += irradiance * (diffuse * (1.0 - fresnel) + specular);
+//#endif
+//#if BLINN_PHONG
+        color += irradiance * (diffuse + lobe * pow(max(nh, 1e-6), exponent));
+//#endif
+    }
+//#if EMISSIVE_TEXTURE
+    color += materials[draw.material].emissive.rgb * glow;
+//#endif
+//#if EMISSIVE_FACTOR
+    color += materials[draw.material].emissive.rgb;
+//#endif
+    // A mirror of the sun is bright but finite.
+    color = min(color, vec3f(65504.0));
+//#endif
+//#if BLEND
+    return vec4f(color, base.a);
+//#endif
+//#if SOLID
+    return vec4f(color, 1.0);
+//#endif
+}
+//#endif

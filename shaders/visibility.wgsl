@@ -1,0 +1,26 @@
+// Visibility mask: what the lens hides of each view gets the nearest depth, so that nothing is drawn there.
+//
+// Each vertex belongs to one view; in the others its triangle has no area.
+
+struct View {
+    clip: vec4f,
+    eye_in_head: vec4f,
+    ray: vec4f,
+    ray_per_x: vec4f,
+    ray_per_y: vec4f,
+}
+
+struct Views {
+    views: array<View, 4>,
+}
+
+@group(0) @binding(0) var<uniform> frame: Views;
+
+// xy: where the vertex lies in the plane z = −1 of its eye; z: the index of its view.
+@vertex
+fn vertex(@location(0) vertex: vec3f, @builtin(view_index) view_index: u32) -> @builtin(position) vec4f {
+    let clip = frame.views[view_index].clip;
+    let here = u32(vertex.z + 0.5) == view_index;
+    let position = vec4f(vertex.x * clip.x - clip.y, vertex.y * clip.z - clip.w, 1.0, 1.0);
+    return select(vec4f(2.0, 2.0, 1.0, 1.0), position, here);
+}
