@@ -4,8 +4,18 @@
 //! crate draws nothing and knows no graphics API.
 #![forbid(unsafe_code)]
 
+mod error;
+pub mod gltf;
+mod import;
+mod load;
 pub mod model;
 mod needs;
+mod picture;
+mod surface;
+pub mod text;
 
+pub use error::Error;
+pub use import::{Limits, Progress};
+pub use load::{load, load_with};
 pub use model::Scene;
 pub use needs::{Coverage, Law, Needs, Surface};

@@ -1,0 +1,34 @@
+use std::path::Path;
+
+use crate::import::{Import, Limits, Progress};
+use crate::{Error, Scene};
+
+/// Loads the scene at `path`: `.glb`, `.gltf`.
+///
+/// Files that it names must lie in (or below) its folder. What the format can say but Vergence does not draw is in
+/// [`Scene::warnings`], one sentence each.
+///
+/// # Errors
+/// Where a file cannot be read, is not what its format asks for, or asks for more than `limits` allow; the error
+/// names file and place.
+pub fn load(path: &Path, limits: &Limits) -> Result<Scene, Error> {
+    load_with(path, limits, &mut |_| {})
+}
+
+/// As [`load`]; calls `progress` now and then.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_with(path: &Path, limits: &Limits, progress: &mut dyn FnMut(Progress)) -> Result<Scene, Error> {
+    let mut import = Import::new(path, limits, progress)?;
+    let bytes = import.read_named(path)?;
+    let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    let mut scene = match extension.as_deref() {
+        Some("glb" | "gltf") => crate::gltf::load(&mut import, path, bytes)?,
+        _ => {
+            return Err(Error::invalid(path, "file name", "expected .glb or .gltf, found another ending"));
+        }
+    };
+    scene.warnings = import.take_warnings();
+    Ok(scene)
+}
