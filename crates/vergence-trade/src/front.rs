@@ -1,0 +1,77 @@
+use std::cmp::Ordering;
+
+use crate::{Error, Measurement, Trade};
+
+/// What a choice must keep.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Limit {
+    /// At most this cost; the smallest error within it is chosen.
+    Cost(f64),
+    /// At most this error; the smallest cost within it is chosen.
+    Error(f64),
+}
+
+impl Trade {
+    /// The measurements that no other one beats (`cost` and `error` are indices of scales): each has a smaller error
+    /// than all cheaper ones. Indices into [`Self::measurements`], from the cheapest; of equal ones, the first that
+    /// was recorded. O(n log n).
+    ///
+    /// # Panics
+    /// Where an index is not below the number of scales.
+    pub fn pareto(&self, cost: usize, error: usize) -> Vec<usize> {
+        let mut order: Vec<(usize, f64, f64)> = self.finite(cost, error).collect();
+        order.sort_by(|a, b| ascending(a.1, b.1).then(ascending(a.2, b.2)).then(a.0.cmp(&b.0)));
+        let mut least_error = f64::INFINITY;
+        let mut front = Vec::new();
+        for (index, _, error) in order {
+            if error < least_error {
+                least_error = error;
+                front.push(index);
+            }
+        }
+        front
+    }
+
+    /// The setting to use: always on the front of the two scales. Index into [`Self::measurements`].
+    ///
+    /// # Errors
+    /// Where no measurement keeps the limit (NaN keeps none); it says which comes nearest.
+    ///
+    /// # Panics
+    /// Where an index is not below the number of scales.
+    pub fn choose(&self, cost: usize, error: usize, limit: Limit) -> Result<usize, Error> {
+        let front = self.pareto(cost, error);
+        let value = |index: &usize| &self.measurements[*index];
+        // The front runs from cheap and wrong to dear and right.
+        let (chosen, nearest, scale, most) = match limit {
+            Limit::Cost(most) => (
+                front.iter().rfind(|i| value(i).costs[cost] <= most),
+                front.first().map(|i| (value(i).costs[cost], i)),
+                &self.costs[cost],
+                most,
+            ),
+            Limit::Error(most) => (
+                front.iter().find(|i| value(i).errors[error] <= most),
+                front.last().map(|i| (value(i).errors[error], i)),
+                &self.errors[error],
+                most,
+            ),
+        };
+        chosen.copied().ok_or_else(|| Error::NothingFits {
+            scale: scale.title(),
+            limit: most,
+            nearest: nearest.map(|(found, i)| (found, value(i).setting.to_string())),
+        })
+    }
+
+    fn finite(&self, cost: usize, error: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {
+        assert!(cost < self.costs.len() && error < self.errors.len(), "no such scale");
+        let values = move |(index, m): (usize, &Measurement)| (index, m.costs[cost], m.errors[error]);
+        self.measurements.iter().enumerate().map(values).filter(|(_, c, e)| c.is_finite() && e.is_finite())
+    }
+}
+
+/// Of finite numbers; 0 and −0 are equal.
+fn ascending(a: f64, b: f64) -> Ordering {
+    a.partial_cmp(&b).unwrap_or(Ordering::Equal)
+}
