@@ -4,6 +4,7 @@
 //! crate draws nothing and knows no graphics API.
 #![forbid(unsafe_code)]
 
+pub mod animation;
 mod error;
 pub mod gltf;
 mod import;

@@ -22,6 +22,8 @@ pub struct Scene {
     pub skins: Vec<Skin>,
     /// Clips that move nodes.
     pub animations: Vec<Animation>,
+    /// Indices into [`Scene::animations`] of the clips that run, in loops, from the start.
+    pub playing: Vec<usize>,
     /// Lights; nodes place them.
     pub lights: Vec<Light>,
     /// Cameras that the file brings; nodes place them.

@@ -107,7 +107,7 @@ impl Surface {
 impl Needs {
     /// What a picture of `scene` requires, with or without normal maps (a quality knob). O(nodes + primitives).
     pub fn of(scene: &Scene, normal_maps: bool) -> Self {
-        let mut needs = Self { animation: !scene.animations.is_empty(), ..Self::default() };
+        let mut needs = Self { animation: !scene.playing.is_empty(), ..Self::default() };
         for node in &scene.nodes {
             needs.lights += usize::from(node.light.is_some());
             needs.text |= node.label.is_some();

@@ -71,6 +71,7 @@ pub(crate) fn load(import: &mut Import<'_>, path: &Path, bytes: Bytes) -> Result
             scene.animations.push(clip);
         }
     }
+    scene.playing = scene.compatible_clips();
     Ok(scene)
 }
 
