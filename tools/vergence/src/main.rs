@@ -6,6 +6,8 @@
 
 mod failure;
 mod logging;
+#[allow(dead_code, reason = "for the verbs that draw")]
+mod quality;
 
 use std::process::ExitCode;
 
