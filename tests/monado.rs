@@ -5,7 +5,7 @@ use std::ffi::OsStr;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use serde_json::Value;
+use vergence_tests::located::{Located, located};
 use vergence_tests::monado::{Driver, Run, available, free_port};
 use vergence_tests::remote::{Eye, Pose, Script, State};
 
@@ -33,47 +33,6 @@ fn vergence_run(driver: Driver, folder: &Path, extra: &[&str]) -> Run {
     Run::start(driver, folder, &command)
 }
 
-/// One line of `--log-poses`: what the client located for a frame, in LOCAL space.
-#[derive(Clone, Debug, PartialEq)]
-struct Located {
-    predicted_display_ns: i64,
-    /// Position (m), then quaternion x, y, z, w.
-    head: [f64; 7],
-    eyes: [[f64; 7]; 2],
-    /// Left, right, up, down, radians.
-    fovs: [[f64; 4]; 2],
-}
-
-fn numbers<const N: usize>(value: &Value) -> [f64; N] {
-    let list: Vec<f64> =
-        value.as_array().expect("a list of numbers").iter().map(|n| n.as_f64().expect("a number")).collect();
-    list.try_into().unwrap_or_else(|list: Vec<f64>| panic!("expected {N} numbers, found {}", list.len()))
-}
-
-/// The complete lines so far: the last one may still be being written.
-fn located(file: &Path) -> Vec<Located> {
-    let text = std::fs::read_to_string(file).unwrap_or_default();
-    let complete = text.rfind('\n').map_or("", |end| &text[..end]);
-    let line = |line: &str| {
-        let value: Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error} in {line}"));
-        Located {
-            predicted_display_ns: value["predicted_display_ns"].as_i64().expect("predicted_display_ns"),
-            head: numbers(&value["head"]),
-            eyes: [0, 1].map(|eye: usize| numbers(&value["eyes"][eye]["pose"])),
-            fovs: [0, 1].map(|eye: usize| numbers(&value["eyes"][eye]["fov"])),
-        }
-    };
-    complete.lines().map(line).collect()
-}
-
-/// The one object that `--json` promises as the last thing on stdout.
-fn report(run: &Run) -> Value {
-    let stdout = run.stdout();
-    let start = stdout.rfind("\n{").map_or(0, |at| at + 1);
-    serde_json::from_str(&stdout[start..])
-        .unwrap_or_else(|error| panic!("{error}: no JSON object at the end of\n{}", run.story()))
-}
-
 /// What the list of calls says of one frame's end.
 fn frame_ends(calls: &str) -> Vec<&str> {
     let mut ends = Vec::new();
@@ -95,7 +54,8 @@ fn a_scene_runs_on_monado_to_focused_and_ends_cleanly() {
     let status = run.wait(PATIENCE);
     assert!(status.success(), "{status}\n{}", run.story());
 
-    let report = report(&run);
+    let report = vergence_tests::last_object(&run.stdout())
+        .unwrap_or_else(|| panic!("no JSON object\n{}", run.story()));
     assert!(report["frames"].as_u64() >= Some(100), "{report}");
     assert_eq!(
         located(&folder.path().join("poses.jsonl")).len() as u64,

@@ -1,6 +1,7 @@
 //! What tests across crates share: how a test says that something it needs is missing, where data and the built tool are,
 //! and Monado, a real OpenXR runtime, with a script that poses its headset.
 
+pub mod located;
 pub mod monado;
 pub mod remote;
 
@@ -66,4 +67,11 @@ pub fn vergence() -> PathBuf {
             profile.join("vergence")
         })
         .clone()
+}
+
+/// The one object that `--json` promises as the last thing on stdout; `None` where there is none.
+#[must_use]
+pub fn last_object(stdout: &str) -> Option<serde_json::Value> {
+    let start = if stdout.starts_with('{') { 0 } else { stdout.find("\n{")? + 1 };
+    serde_json::from_str(&stdout[start..]).ok()
 }
