@@ -5,9 +5,12 @@
 //! 0 done, 1 the work failed, 2 the call was wrong.
 
 mod failure;
+mod loading;
 mod logging;
+mod plan;
 #[allow(dead_code, reason = "for the verbs that draw")]
 mod quality;
+mod stream;
 
 use std::process::ExitCode;
 
@@ -27,11 +30,15 @@ struct Cli {
 }
 
 #[derive(Subcommand)]
-enum Verb {}
+enum Verb {
+    Plan(plan::Args),
+}
 
 impl Verb {
     fn run(self) -> Result<(), Failure> {
-        match self {}
+        match self {
+            Self::Plan(verb) => verb.run(),
+        }
     }
 }
 
