@@ -1,0 +1,92 @@
+//! How much time this thread spends inside the driver, so that our own share of a frame can be told apart.
+//!
+//! Off by default: a call then costs one relaxed load. Calls that only record are timed by the monotonic clock (about 50 ns
+//! each); calls that may block (submit, wait, acquire, present) by the CPU time of the thread, so that waiting counts as nothing.
+
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use rustix::time::{ClockId, clock_gettime};
+
+static ON: AtomicBool = AtomicBool::new(false);
+
+thread_local! {
+    static SPENT_NS: Cell<u64> = const { Cell::new(0) };
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+}
+
+/// What one thread has spent inside the driver since it started, while the clock was on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct DriverTime {
+    /// CPU time inside driver calls, in nanoseconds.
+    pub ns: u64,
+    /// Number of timed calls.
+    pub calls: u64,
+}
+
+/// Switches the clock on or off for the whole process (default: off).
+pub fn set_driver_clock(on: bool) {
+    ON.store(on, Ordering::Relaxed);
+}
+
+/// What this thread has spent inside the driver so far; take the difference of two readings.
+pub fn driver_time() -> DriverTime {
+    DriverTime { ns: SPENT_NS.get(), calls: CALLS.get() }
+}
+
+/// CPU time of the calling thread, in nanoseconds since its start.
+pub fn thread_cpu_ns() -> u64 {
+    let t = clock_gettime(ClockId::ThreadCPUTime);
+    (t.tv_sec as u64).wrapping_mul(1_000_000_000).wrapping_add(t.tv_nsec as u64)
+}
+
+fn add(ns: u64) {
+    SPENT_NS.set(SPENT_NS.get().wrapping_add(ns));
+    CALLS.set(CALLS.get().wrapping_add(1));
+}
+
+/// Runs a driver call that does not block.
+#[inline(always)]
+pub(crate) fn quick<R>(call: impl FnOnce() -> R) -> R {
+    if !ON.load(Ordering::Relaxed) {
+        return call();
+    }
+    let start = Instant::now();
+    let result = call();
+    add(start.elapsed().as_nanos() as u64);
+    result
+}
+
+/// Runs a driver call that may block.
+#[inline(always)]
+pub(crate) fn blocking<R>(call: impl FnOnce() -> R) -> R {
+    if !ON.load(Ordering::Relaxed) {
+        return call();
+    }
+    let start = thread_cpu_ns();
+    let result = call();
+    add(thread_cpu_ns().saturating_sub(start));
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_only_while_on_and_never_waiting() {
+        set_driver_clock(true);
+        let before = driver_time();
+        blocking(|| std::thread::sleep(std::time::Duration::from_millis(30)));
+        let waited = driver_time();
+        quick(|| std::thread::sleep(std::time::Duration::from_millis(2)));
+        let quick_spent = driver_time();
+        set_driver_clock(false);
+        quick(|| ());
+        assert_eq!(waited.calls, before.calls + 1);
+        assert!(waited.ns - before.ns < 10_000_000, "a sleep is not CPU time: {} ns", waited.ns - before.ns);
+        assert!(quick_spent.ns - waited.ns >= 2_000_000);
+        assert_eq!(driver_time(), quick_spent);
+    }
+}

@@ -1,0 +1,945 @@
+//! Recording: barriers, rendering, draws, dispatches, copies and timed passes.
+//!
+//! Recording methods do not fail one by one: the first misuse is remembered, what follows is not recorded, and
+//! [`Encoder::finish`] returns it.
+
+use std::sync::Arc;
+
+use ash::vk;
+use bytemuck::Pod;
+
+use crate::buffer::Buffer;
+use crate::command::{CommandBuffer, Kept};
+use crate::descriptor::DescriptorSet;
+use crate::driver_clock::quick;
+use crate::error::{At, Error};
+use crate::image::{Image, ImageView, texel_bytes};
+use crate::pipeline::{ComputePipeline, GraphicsPipeline, MAX_COLORS, PipelineLayout};
+use crate::sync::Use;
+
+/// Most descriptor sets of a pipeline whose binding is remembered, so that a repeated one costs nothing.
+const MAX_SETS: usize = 4;
+/// Barriers given to the driver at once.
+const BARRIERS_AT_ONCE: usize = 8;
+
+/// What an attachment holds when rendering begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Load<T> {
+    /// This value.
+    Clear(T),
+    /// What it held before.
+    Keep,
+    /// Anything.
+    Discard,
+}
+
+impl<T> Load<T> {
+    fn op(&self) -> vk::AttachmentLoadOp {
+        match self {
+            Self::Clear(_) => vk::AttachmentLoadOp::CLEAR,
+            Self::Keep => vk::AttachmentLoadOp::LOAD,
+            Self::Discard => vk::AttachmentLoadOp::DONT_CARE,
+        }
+    }
+}
+
+/// A colour attachment, in the layout of [`Use::ColorAttachment`].
+#[derive(Clone, Copy)]
+pub struct ColorAttachment<'a> {
+    /// What is drawn to.
+    pub view: &'a Arc<ImageView>,
+    /// Where the average of the samples goes, if `view` has several.
+    pub resolve: Option<&'a Arc<ImageView>>,
+    /// Content at the beginning; linear red, green, blue, alpha.
+    pub load: Load<[f32; 4]>,
+    /// Whether the content of `view` is wanted afterwards (of the resolved image it always is).
+    pub store: bool,
+}
+
+/// A depth attachment, in the layout of [`Use::DepthAttachment`] (or [`Use::DepthReadOnly`] where it is not written).
+#[derive(Clone, Copy)]
+pub struct DepthAttachment<'a> {
+    /// What is tested against.
+    pub view: &'a Arc<ImageView>,
+    /// Where sample zero goes, if `view` has several.
+    pub resolve: Option<&'a Arc<ImageView>>,
+    /// Depth at the beginning.
+    pub load: Load<f32>,
+    /// Whether the content of `view` is wanted afterwards.
+    pub store: bool,
+    /// Only tested: the layout is the one of [`Use::DepthReadOnly`].
+    pub read_only: bool,
+}
+
+/// Attachments and area of one pass.
+#[derive(Clone, Copy)]
+pub struct Rendering<'a> {
+    /// Width and height in pixels, from the corner (0, 0).
+    pub size: (u32, u32),
+    /// Bit per view; 0 without multiview.
+    pub view_mask: u32,
+    /// Layers without multiview (1 is usual).
+    pub layers: u32,
+    /// Colour attachments, at most [`MAX_COLORS`].
+    pub colors: &'a [ColorAttachment<'a>],
+    /// Depth attachment.
+    pub depth: Option<DepthAttachment<'a>>,
+}
+
+/// A change of use of an image, or a part of it.
+#[derive(Clone, Copy)]
+pub struct ImageBarrier<'a> {
+    image: &'a Arc<Image>,
+    from: Use,
+    to: Use,
+    discard: bool,
+    layers: (u32, u32),
+    mips: (u32, u32),
+}
+
+impl<'a> ImageBarrier<'a> {
+    /// All of `image`, from one use to another.
+    pub fn new(image: &'a Arc<Image>, from: Use, to: Use) -> Self {
+        Self {
+            image,
+            from,
+            to,
+            discard: false,
+            layers: (0, vk::REMAINING_ARRAY_LAYERS),
+            mips: (0, vk::REMAINING_MIP_LEVELS),
+        }
+    }
+
+    /// Waits for `from`, but gives up the content.
+    pub fn discard(self) -> Self {
+        Self { discard: true, ..self }
+    }
+
+    /// Only `count` layers from `base`.
+    pub fn layers(self, base: u32, count: u32) -> Self {
+        Self { layers: (base, count), ..self }
+    }
+
+    /// Only `count` mip levels from `base`.
+    pub fn mips(self, base: u32, count: u32) -> Self {
+        Self { mips: (base, count), ..self }
+    }
+}
+
+/// A change of use of a buffer.
+#[derive(Clone, Copy)]
+pub struct BufferBarrier<'a> {
+    /// The buffer.
+    pub buffer: &'a Arc<Buffer>,
+    /// What it was used for.
+    pub from: Use,
+    /// What it will be used for.
+    pub to: Use,
+}
+
+/// A rectangle of texels of one mip level of one layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Area {
+    /// Layer.
+    pub layer: u32,
+    /// Mip level.
+    pub mip: u32,
+    /// Left, top.
+    pub min: (u32, u32),
+    /// Right, bottom (exclusive).
+    pub max: (u32, u32),
+}
+
+impl Area {
+    /// All of a layer at a mip level of `image`.
+    pub fn whole(image: &Image, layer: u32, mip: u32) -> Self {
+        Self { layer, mip, min: (0, 0), max: image.size(mip) }
+    }
+
+    fn fits(&self, image: &Image) -> bool {
+        let (width, height) = image.size(self.mip);
+        self.layer < image.layers()
+            && self.mip < image.mips()
+            && self.min.0 < self.max.0
+            && self.min.1 < self.max.1
+            && self.max.0 <= width
+            && self.max.1 <= height
+    }
+
+    fn subresource(&self, image: &Image) -> vk::ImageSubresourceLayers {
+        // Copies name one aspect; of a depth and stencil image the depth is meant.
+        let aspect = match image.aspect() {
+            both if both.contains(vk::ImageAspectFlags::DEPTH) => vk::ImageAspectFlags::DEPTH,
+            other => other,
+        };
+        vk::ImageSubresourceLayers {
+            aspect_mask: aspect,
+            mip_level: self.mip,
+            base_array_layer: self.layer,
+            layer_count: 1,
+        }
+    }
+
+    fn offset(&self) -> vk::Offset3D {
+        vk::Offset3D { x: self.min.0 as i32, y: self.min.1 as i32, z: 0 }
+    }
+
+    fn end(&self) -> vk::Offset3D {
+        vk::Offset3D { x: self.max.0 as i32, y: self.max.1 as i32, z: 1 }
+    }
+
+    fn extent(&self) -> vk::Extent3D {
+        vk::Extent3D { width: self.max.0 - self.min.0, height: self.max.1 - self.min.1, depth: 1 }
+    }
+
+    fn texels(&self) -> u64 {
+        u64::from(self.max.0 - self.min.0) * u64::from(self.max.1 - self.min.1)
+    }
+}
+
+/// The pipeline that is bound, by its bind point.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct BoundPipeline {
+    raw: vk::Pipeline,
+    layout: vk::PipelineLayout,
+    point: vk::PipelineBindPoint,
+    push_stages: vk::ShaderStageFlags,
+    push_bytes: u32,
+}
+
+/// Records commands into a [`CommandBuffer`]; dropped without [`Encoder::finish`], the recording is lost.
+pub struct Encoder<'a> {
+    commands: &'a mut CommandBuffer,
+    wrong: Option<&'static str>,
+    rendering: bool,
+    in_pass: bool,
+    pipeline: Option<BoundPipeline>,
+    sets: [vk::DescriptorSet; MAX_SETS],
+    set_owner: (vk::PipelineLayout, vk::PipelineBindPoint),
+    index: (vk::Buffer, u64, vk::IndexType),
+    indexed: bool,
+}
+
+impl<'a> Encoder<'a> {
+    pub(crate) fn new(commands: &'a mut CommandBuffer) -> Self {
+        Self {
+            commands,
+            wrong: None,
+            rendering: false,
+            in_pass: false,
+            pipeline: None,
+            sets: [vk::DescriptorSet::null(); MAX_SETS],
+            set_owner: (vk::PipelineLayout::null(), vk::PipelineBindPoint::GRAPHICS),
+            index: (vk::Buffer::null(), 0, vk::IndexType::UINT16),
+            indexed: false,
+        }
+    }
+
+    fn keep<T: Send + Sync + 'static>(&mut self, what: &Arc<T>) {
+        self.commands.kept.push(Arc::clone(what) as Arc<dyn Kept>);
+    }
+
+    /// Remembers the first misuse; says whether to go on.
+    fn ensure(&mut self, right: bool, otherwise: &'static str) -> bool {
+        if !right && self.wrong.is_none() {
+            self.wrong = Some(otherwise);
+        }
+        self.wrong.is_none()
+    }
+
+    /// Ends recording.
+    ///
+    /// # Errors
+    ///
+    /// The first misuse of this encoder, or a refusal by the driver.
+    pub fn finish(mut self) -> Result<(), Error> {
+        let open = self.rendering || self.in_pass;
+        self.ensure(!open, "finished while rendering or a timed pass was open");
+        if let Some(detail) = self.wrong {
+            return Err(Error::Recording { name: self.commands.name().into(), detail });
+        }
+        // SAFETY: the buffer is recording, outside of rendering.
+        quick(|| unsafe { self.commands.device.raw.end_command_buffer(self.commands.raw) })
+            .at("vkEndCommandBuffer")?;
+        self.commands.executable = true;
+        Ok(())
+    }
+
+    /// Begins a timed pass; not inside of rendering. Passes do not nest. More than the command buffer can time are not timed.
+    pub fn begin_pass(&mut self, name: &'static str) {
+        let free = !self.rendering && !self.in_pass;
+        if !self.ensure(free, "a timed pass was begun inside of another or of rendering") {
+            return;
+        }
+        self.in_pass = true;
+        let raw = self.commands.raw;
+        if let Some(timer) = &mut self.commands.timer {
+            if (timer.names.len() as u32) < timer.capacity {
+                let query = 2 * timer.names.len() as u32;
+                timer.names.push(name);
+                // SAFETY: the query is in the pool and was reset at the beginning of this recording.
+                quick(|| unsafe {
+                    self.commands.device.raw.cmd_write_timestamp2(
+                        raw,
+                        vk::PipelineStageFlags2::ALL_COMMANDS,
+                        timer.pool,
+                        query,
+                    );
+                });
+            } else {
+                timer.overflow = true;
+            }
+        }
+    }
+
+    /// Ends the timed pass.
+    pub fn end_pass(&mut self) {
+        let ends = self.in_pass && !self.rendering;
+        if !self.ensure(ends, "a timed pass was ended that was not begun, or inside of rendering") {
+            return;
+        }
+        self.in_pass = false;
+        if let Some(timer) = &mut self.commands.timer {
+            if timer.overflow {
+                return;
+            }
+            let query = 2 * timer.names.len() as u32 - 1;
+            // SAFETY: as in `begin_pass`.
+            quick(|| unsafe {
+                self.commands.device.raw.cmd_write_timestamp2(
+                    self.commands.raw,
+                    vk::PipelineStageFlags2::ALL_COMMANDS,
+                    timer.pool,
+                    query,
+                );
+            });
+        }
+    }
+
+    /// Orders what comes after the changes of use behind what came before; not inside of rendering.
+    pub fn barrier(&mut self, images: &[ImageBarrier<'_>], buffers: &[BufferBarrier<'_>]) {
+        if !self.ensure(!self.rendering, "a barrier inside of rendering") {
+            return;
+        }
+        for images in images.chunks(BARRIERS_AT_ONCE) {
+            let mut raw = [vk::ImageMemoryBarrier2::default(); BARRIERS_AT_ONCE];
+            for (raw, barrier) in raw.iter_mut().zip(images) {
+                self.keep(barrier.image);
+                let (from_stages, from_access) = barrier.from.source();
+                let (to_stages, to_access) = barrier.to.scope();
+                *raw = vk::ImageMemoryBarrier2::default()
+                    .src_stage_mask(from_stages)
+                    .src_access_mask(from_access)
+                    .dst_stage_mask(to_stages)
+                    .dst_access_mask(to_access)
+                    .old_layout(if barrier.discard {
+                        vk::ImageLayout::UNDEFINED
+                    } else {
+                        barrier.from.layout()
+                    })
+                    .new_layout(barrier.to.layout())
+                    .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                    .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                    .image(barrier.image.raw)
+                    .subresource_range(vk::ImageSubresourceRange {
+                        aspect_mask: barrier.image.aspect(),
+                        base_mip_level: barrier.mips.0,
+                        level_count: barrier.mips.1,
+                        base_array_layer: barrier.layers.0,
+                        layer_count: barrier.layers.1,
+                    });
+            }
+            let info = vk::DependencyInfo::default().image_memory_barriers(&raw[..images.len()]);
+            // SAFETY: recording, outside of rendering; the images are kept.
+            quick(|| unsafe { self.commands.device.raw.cmd_pipeline_barrier2(self.commands.raw, &info) });
+        }
+        for buffers in buffers.chunks(BARRIERS_AT_ONCE) {
+            let mut raw = [vk::BufferMemoryBarrier2::default(); BARRIERS_AT_ONCE];
+            for (raw, barrier) in raw.iter_mut().zip(buffers) {
+                self.keep(barrier.buffer);
+                let (from_stages, from_access) = barrier.from.source();
+                let (to_stages, to_access) = barrier.to.scope();
+                *raw = vk::BufferMemoryBarrier2::default()
+                    .src_stage_mask(from_stages)
+                    .src_access_mask(from_access)
+                    .dst_stage_mask(to_stages)
+                    .dst_access_mask(to_access)
+                    .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                    .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+                    .buffer(barrier.buffer.raw)
+                    .offset(0)
+                    .size(vk::WHOLE_SIZE);
+            }
+            let info = vk::DependencyInfo::default().buffer_memory_barriers(&raw[..buffers.len()]);
+            // SAFETY: recording, outside of rendering; the buffers are kept.
+            quick(|| unsafe { self.commands.device.raw.cmd_pipeline_barrier2(self.commands.raw, &info) });
+        }
+    }
+
+    /// One image, all of it, from one use to another.
+    pub fn transition(&mut self, image: &Arc<Image>, from: Use, to: Use) {
+        self.barrier(&[ImageBarrier::new(image, from, to)], &[]);
+    }
+
+    /// Begins to render; viewport and scissor are set to the whole size.
+    pub fn begin_rendering(&mut self, rendering: &Rendering<'_>) {
+        if !self.ensure(!self.rendering, "rendering was begun inside of rendering")
+            || !self.ensure(rendering.colors.len() <= MAX_COLORS, "too many colour attachments")
+        {
+            return;
+        }
+        let needed = if rendering.view_mask == 0 {
+            rendering.layers
+        } else {
+            32 - rendering.view_mask.leading_zeros()
+        };
+        let fits = |view: &ImageView| {
+            view.layers() >= needed && view.size().0 >= rendering.size.0 && view.size().1 >= rendering.size.1
+        };
+        let all_fit = rendering.colors.iter().all(|c| fits(c.view) && c.resolve.is_none_or(|r| fits(r)))
+            && rendering.depth.is_none_or(|d| fits(d.view) && d.resolve.is_none_or(|r| fits(r)))
+            && rendering.size.0 > 0
+            && rendering.size.1 > 0;
+        if !self.ensure(all_fit, "an attachment has fewer layers or texels than the pass") {
+            return;
+        }
+        let mut colors = [vk::RenderingAttachmentInfo::default(); MAX_COLORS];
+        for (raw, color) in colors.iter_mut().zip(rendering.colors) {
+            self.keep(color.view);
+            *raw = raw
+                .image_view(color.view.raw)
+                .image_layout(vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL)
+                .load_op(color.load.op())
+                .store_op(store_op(color.store));
+            if let Load::Clear(float32) = color.load {
+                *raw = raw.clear_value(vk::ClearValue { color: vk::ClearColorValue { float32 } });
+            }
+            if let Some(resolve) = color.resolve {
+                self.keep(resolve);
+                *raw = raw
+                    .resolve_mode(vk::ResolveModeFlags::AVERAGE)
+                    .resolve_image_view(resolve.raw)
+                    .resolve_image_layout(vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL);
+            }
+        }
+        let mut depth_info = vk::RenderingAttachmentInfo::default();
+        if let Some(depth) = rendering.depth {
+            self.keep(depth.view);
+            let used = if depth.read_only { Use::DepthReadOnly } else { Use::DepthAttachment };
+            depth_info = depth_info
+                .image_view(depth.view.raw)
+                .image_layout(used.layout())
+                .load_op(depth.load.op())
+                .store_op(match (depth.store, depth.read_only) {
+                    // Nothing is written, so that a reader elsewhere need not wait.
+                    (_, true) => vk::AttachmentStoreOp::NONE,
+                    (store, false) => store_op(store),
+                });
+            if let Load::Clear(depth) = depth.load {
+                depth_info = depth_info.clear_value(vk::ClearValue {
+                    depth_stencil: vk::ClearDepthStencilValue { depth, stencil: 0 },
+                });
+            }
+            if let Some(resolve) = depth.resolve {
+                self.keep(resolve);
+                depth_info = depth_info
+                    .resolve_mode(vk::ResolveModeFlags::SAMPLE_ZERO)
+                    .resolve_image_view(resolve.raw)
+                    .resolve_image_layout(Use::DepthAttachment.layout());
+            }
+        }
+        let extent = vk::Extent2D { width: rendering.size.0, height: rendering.size.1 };
+        let area = vk::Rect2D { offset: vk::Offset2D::default(), extent };
+        let mut info = vk::RenderingInfo::default()
+            .render_area(area)
+            .layer_count(if rendering.view_mask == 0 { rendering.layers } else { 1 })
+            .view_mask(rendering.view_mask)
+            .color_attachments(&colors[..rendering.colors.len()]);
+        if rendering.depth.is_some() {
+            info = info.depth_attachment(&depth_info);
+        }
+        self.rendering = true;
+        // SAFETY: recording, outside of rendering; the attachments are kept and large enough.
+        quick(|| unsafe { self.commands.device.raw.cmd_begin_rendering(self.commands.raw, &info) });
+        self.viewport((0.0, 0.0), (rendering.size.0 as f32, rendering.size.1 as f32));
+        self.scissor((0, 0), rendering.size);
+    }
+
+    /// Ends rendering.
+    pub fn end_rendering(&mut self) {
+        if !self.ensure(self.rendering, "rendering was ended that was not begun") {
+            return;
+        }
+        self.rendering = false;
+        // SAFETY: inside of rendering.
+        quick(|| unsafe { self.commands.device.raw.cmd_end_rendering(self.commands.raw) });
+    }
+
+    /// Sets the viewport, in pixels; depth goes from 0 to 1.
+    pub fn viewport(&mut self, corner: (f32, f32), size: (f32, f32)) {
+        let viewport = [vk::Viewport {
+            x: corner.0,
+            y: corner.1,
+            width: size.0,
+            height: size.1,
+            min_depth: 0.0,
+            max_depth: 1.0,
+        }];
+        let valid = size.0 > 0.0 && size.1 > 0.0;
+        if self.ensure(valid, "an empty viewport") {
+            // SAFETY: recording.
+            quick(|| unsafe { self.commands.device.raw.cmd_set_viewport(self.commands.raw, 0, &viewport) });
+        }
+    }
+
+    /// Sets the scissor, in pixels.
+    pub fn scissor(&mut self, corner: (u32, u32), size: (u32, u32)) {
+        let valid = [corner.0, corner.1, size.0, size.1].iter().all(|&v| v < 1 << 30);
+        if !self.ensure(valid, "a scissor far outside of any image") {
+            return;
+        }
+        let scissor = [vk::Rect2D {
+            offset: vk::Offset2D { x: corner.0 as i32, y: corner.1 as i32 },
+            extent: vk::Extent2D { width: size.0, height: size.1 },
+        }];
+        // SAFETY: recording.
+        quick(|| unsafe { self.commands.device.raw.cmd_set_scissor(self.commands.raw, 0, &scissor) });
+    }
+
+    /// Binds a graphics pipeline; binding the bound one again costs nothing.
+    pub fn bind(&mut self, pipeline: &Arc<GraphicsPipeline>) {
+        if self.bind_pipeline(pipeline.raw, &pipeline.layout, vk::PipelineBindPoint::GRAPHICS) {
+            self.keep(pipeline);
+        }
+    }
+
+    /// Binds a compute pipeline; binding the bound one again costs nothing.
+    pub fn bind_compute(&mut self, pipeline: &Arc<ComputePipeline>) {
+        if self.bind_pipeline(pipeline.raw, &pipeline.layout, vk::PipelineBindPoint::COMPUTE) {
+            self.keep(pipeline);
+        }
+    }
+
+    fn bind_pipeline(
+        &mut self,
+        raw: vk::Pipeline,
+        layout: &PipelineLayout,
+        point: vk::PipelineBindPoint,
+    ) -> bool {
+        let bound = BoundPipeline {
+            raw,
+            layout: layout.raw,
+            point,
+            push_stages: layout.push_stages,
+            push_bytes: layout.push_bytes,
+        };
+        if self.wrong.is_some() || self.pipeline == Some(bound) {
+            return false;
+        }
+        if self.set_owner != (layout.raw, point) {
+            self.set_owner = (layout.raw, point);
+            self.sets = [vk::DescriptorSet::null(); MAX_SETS];
+        }
+        self.pipeline = Some(bound);
+        // SAFETY: recording; the caller keeps the pipeline.
+        quick(|| unsafe { self.commands.device.raw.cmd_bind_pipeline(self.commands.raw, point, raw) });
+        true
+    }
+
+    /// Binds set `number` of the bound pipeline, with one offset (bytes) per dynamic binding; binding a bound set without dynamic
+    /// bindings again costs nothing.
+    pub fn bind_set(&mut self, number: u32, set: &Arc<DescriptorSet>, dynamic_offsets: &[u32]) {
+        let matches = set.layout().dynamic() as usize == dynamic_offsets.len();
+        if !self.ensure(self.pipeline.is_some(), "a descriptor set was bound before a pipeline")
+            || !self.ensure(matches, "a descriptor set was bound with the wrong number of dynamic offsets")
+        {
+            return;
+        }
+        let Some(pipeline) = self.pipeline else { return };
+        let slot = self.sets.get_mut(number as usize);
+        if let Some(slot) = slot {
+            if *slot == set.raw && dynamic_offsets.is_empty() {
+                return;
+            }
+            let known = *slot == set.raw;
+            *slot = set.raw;
+            if !known {
+                self.keep(set);
+            }
+        } else {
+            self.keep(set);
+        }
+        // SAFETY: recording; the set is kept; its layout is checked by the validation layer.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_bind_descriptor_sets(
+                self.commands.raw,
+                pipeline.point,
+                pipeline.layout,
+                number,
+                &[set.raw],
+                dynamic_offsets,
+            );
+        });
+    }
+
+    /// Sets push constants of the bound pipeline at `offset` (bytes).
+    pub fn push<T: Pod>(&mut self, offset: u32, data: &T) {
+        let bytes = bytemuck::bytes_of(data);
+        let fits = self.pipeline.is_some_and(|p| {
+            offset.is_multiple_of(4)
+                && bytes.len().is_multiple_of(4)
+                && u64::from(offset) + bytes.len() as u64 <= u64::from(p.push_bytes)
+                && !bytes.is_empty()
+        });
+        if !self.ensure(fits, "push constants without a pipeline, or more than its layout has") {
+            return;
+        }
+        let Some(pipeline) = self.pipeline else { return };
+        // SAFETY: recording; the range is within the layout's.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_push_constants(
+                self.commands.raw,
+                pipeline.layout,
+                pipeline.push_stages,
+                offset,
+                bytes,
+            );
+        });
+    }
+
+    /// Binds a vertex buffer from `offset` (bytes).
+    pub fn vertex_buffer(&mut self, binding: u32, buffer: &Arc<Buffer>, offset: u64) {
+        let fits = offset < buffer.size() && buffer.usage().contains(vk::BufferUsageFlags::VERTEX_BUFFER);
+        if !self.ensure(fits, "a vertex buffer of another usage, or an offset outside of it") {
+            return;
+        }
+        self.keep(buffer);
+        // SAFETY: recording; the buffer is kept, the offset within it.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_bind_vertex_buffers(
+                self.commands.raw,
+                binding,
+                &[buffer.raw],
+                &[offset],
+            );
+        });
+    }
+
+    /// Binds the index buffer from `offset` (bytes); binding the bound one again costs nothing.
+    pub fn index_buffer(&mut self, buffer: &Arc<Buffer>, offset: u64, kind: vk::IndexType) {
+        let fits = offset < buffer.size() && buffer.usage().contains(vk::BufferUsageFlags::INDEX_BUFFER);
+        if !self.ensure(fits, "an index buffer of another usage, or an offset outside of it") {
+            return;
+        }
+        if self.index == (buffer.raw, offset, kind) {
+            return;
+        }
+        self.index = (buffer.raw, offset, kind);
+        self.indexed = true;
+        self.keep(buffer);
+        // SAFETY: recording; the buffer is kept, the offset within it.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_bind_index_buffer(self.commands.raw, buffer.raw, offset, kind);
+        });
+    }
+
+    fn can_draw(&mut self) -> bool {
+        let bound = self.pipeline.is_some_and(|p| p.point == vk::PipelineBindPoint::GRAPHICS);
+        let rendering = self.rendering;
+        self.ensure(bound && rendering, "a draw outside of rendering, or without a graphics pipeline")
+    }
+
+    /// Draws vertices.
+    pub fn draw(&mut self, vertices: u32, first: u32, instances: u32, first_instance: u32) {
+        if self.can_draw() {
+            // SAFETY: inside of rendering with a pipeline.
+            quick(|| unsafe {
+                self.commands.device.raw.cmd_draw(
+                    self.commands.raw,
+                    vertices,
+                    instances,
+                    first,
+                    first_instance,
+                );
+            });
+        }
+    }
+
+    /// Draws indexed vertices.
+    pub fn draw_indexed(
+        &mut self,
+        indices: u32,
+        first: u32,
+        base_vertex: i32,
+        instances: u32,
+        first_instance: u32,
+    ) {
+        let indexed = self.indexed;
+        if self.can_draw() && self.ensure(indexed, "an indexed draw without an index buffer") {
+            // SAFETY: inside of rendering with a pipeline and an index buffer.
+            quick(|| unsafe {
+                self.commands.device.raw.cmd_draw_indexed(
+                    self.commands.raw,
+                    indices,
+                    instances,
+                    first,
+                    base_vertex,
+                    first_instance,
+                );
+            });
+        }
+    }
+
+    /// Draws `count` times with arguments (`VkDrawIndexedIndirectCommand`, 20 bytes each) from `offset` (bytes) of a buffer.
+    pub fn draw_indexed_indirect(&mut self, arguments: &Arc<Buffer>, offset: u64, count: u32) {
+        const BYTES: u64 = 20;
+        let fits = arguments.usage().contains(vk::BufferUsageFlags::INDIRECT_BUFFER)
+            && offset.is_multiple_of(4)
+            && offset.checked_add(BYTES * u64::from(count)).is_some_and(|end| end <= arguments.size());
+        let indexed = self.indexed;
+        if !self.can_draw()
+            || !self.ensure(indexed, "an indexed draw without an index buffer")
+            || !self.ensure(fits, "indirect arguments outside of their buffer, or of another usage")
+        {
+            return;
+        }
+        self.keep(arguments);
+        // SAFETY: inside of rendering; the arguments are kept and within their buffer.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_draw_indexed_indirect(
+                self.commands.raw,
+                arguments.raw,
+                offset,
+                count,
+                BYTES as u32,
+            );
+        });
+    }
+
+    /// Runs work groups of the bound compute pipeline.
+    pub fn dispatch(&mut self, x: u32, y: u32, z: u32) {
+        let bound =
+            self.pipeline.is_some_and(|p| p.point == vk::PipelineBindPoint::COMPUTE) && !self.rendering;
+        if self.ensure(bound, "a dispatch inside of rendering, or without a compute pipeline") {
+            // SAFETY: outside of rendering with a pipeline.
+            quick(|| unsafe { self.commands.device.raw.cmd_dispatch(self.commands.raw, x, y, z) });
+        }
+    }
+
+    /// Copies bytes between buffers.
+    pub fn copy_buffer(
+        &mut self,
+        from: &Arc<Buffer>,
+        from_offset: u64,
+        to: &Arc<Buffer>,
+        to_offset: u64,
+        bytes: u64,
+    ) {
+        let fits = bytes > 0
+            && from_offset.checked_add(bytes).is_some_and(|end| end <= from.size())
+            && to_offset.checked_add(bytes).is_some_and(|end| end <= to.size());
+        if !self.ensure(fits && !self.rendering, "a copy outside of a buffer, or inside of rendering") {
+            return;
+        }
+        self.keep(from);
+        self.keep(to);
+        let region = [vk::BufferCopy { src_offset: from_offset, dst_offset: to_offset, size: bytes }];
+        // SAFETY: recording; both are kept, the ranges within them.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_copy_buffer(self.commands.raw, from.raw, to.raw, &region)
+        });
+    }
+
+    fn texels_fit(&mut self, image: &Image, area: &Area, buffer: &Buffer, offset: u64) -> bool {
+        // Of a compressed format the driver checks; a texel then takes at most one byte.
+        let texel = texel_bytes(image.format()).unwrap_or(1);
+        let right = area.fits(image)
+            && offset.is_multiple_of(4)
+            && (area.texels().checked_mul(texel))
+                .and_then(|bytes| bytes.checked_add(offset))
+                .is_some_and(|end| end <= buffer.size())
+            && !self.rendering;
+        self.ensure(right, "a copy outside of an image or buffer, or inside of rendering")
+    }
+
+    /// Copies tightly packed texels from a buffer to an image in the use [`Use::TransferDestination`].
+    pub fn copy_buffer_to_image(&mut self, from: &Arc<Buffer>, offset: u64, to: &Arc<Image>, area: Area) {
+        if !self.texels_fit(to, &area, from, offset) {
+            return;
+        }
+        self.keep(from);
+        self.keep(to);
+        let region = [vk::BufferImageCopy {
+            buffer_offset: offset,
+            buffer_row_length: 0,
+            buffer_image_height: 0,
+            image_subresource: area.subresource(to),
+            image_offset: area.offset(),
+            image_extent: area.extent(),
+        }];
+        // SAFETY: recording; both are kept, the ranges within them.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_copy_buffer_to_image(
+                self.commands.raw,
+                from.raw,
+                to.raw,
+                Use::TransferDestination.layout(),
+                &region,
+            );
+        });
+    }
+
+    /// Copies texels of an image in the use [`Use::TransferSource`] to a buffer, tightly packed.
+    pub fn copy_image_to_buffer(&mut self, from: &Arc<Image>, area: Area, to: &Arc<Buffer>, offset: u64) {
+        if !self.texels_fit(from, &area, to, offset) {
+            return;
+        }
+        self.keep(from);
+        self.keep(to);
+        let region = [vk::BufferImageCopy {
+            buffer_offset: offset,
+            buffer_row_length: 0,
+            buffer_image_height: 0,
+            image_subresource: area.subresource(from),
+            image_offset: area.offset(),
+            image_extent: area.extent(),
+        }];
+        // SAFETY: recording; both are kept, the ranges within them.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_copy_image_to_buffer(
+                self.commands.raw,
+                from.raw,
+                Use::TransferSource.layout(),
+                to.raw,
+                &region,
+            );
+        });
+    }
+
+    /// Copies texels between images of the same format size ([`Use::TransferSource`] to [`Use::TransferDestination`]); `to` has the
+    /// size of `from_area`.
+    pub fn copy_image(&mut self, from: &Arc<Image>, from_area: Area, to: &Arc<Image>, to_area: Area) {
+        let right = from_area.fits(from)
+            && to_area.fits(to)
+            && from_area.extent() == to_area.extent()
+            && from.samples() == to.samples()
+            && !self.rendering;
+        if !self.ensure(
+            right,
+            "a copy between areas that differ or are outside of an image, or inside of rendering",
+        ) {
+            return;
+        }
+        self.keep(from);
+        self.keep(to);
+        let region = [vk::ImageCopy {
+            src_subresource: from_area.subresource(from),
+            src_offset: from_area.offset(),
+            dst_subresource: to_area.subresource(to),
+            dst_offset: to_area.offset(),
+            extent: from_area.extent(),
+        }];
+        // SAFETY: recording; both are kept, the ranges within them.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_copy_image(
+                self.commands.raw,
+                from.raw,
+                Use::TransferSource.layout(),
+                to.raw,
+                Use::TransferDestination.layout(),
+                &region,
+            );
+        });
+    }
+
+    /// Copies and scales texels ([`Use::TransferSource`] to [`Use::TransferDestination`]); sRGB formats are filtered in linear light.
+    pub fn blit(
+        &mut self,
+        from: &Arc<Image>,
+        from_area: Area,
+        to: &Arc<Image>,
+        to_area: Area,
+        filter: vk::Filter,
+    ) {
+        let right = from_area.fits(from)
+            && to_area.fits(to)
+            && from.samples() == 1
+            && to.samples() == 1
+            && !self.rendering;
+        if !self.ensure(right, "a blit outside of an image, of several samples, or inside of rendering") {
+            return;
+        }
+        self.keep(from);
+        self.keep(to);
+        let region = [vk::ImageBlit {
+            src_subresource: from_area.subresource(from),
+            src_offsets: [from_area.offset(), from_area.end()],
+            dst_subresource: to_area.subresource(to),
+            dst_offsets: [to_area.offset(), to_area.end()],
+        }];
+        // SAFETY: recording; both are kept, the ranges within them.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_blit_image(
+                self.commands.raw,
+                from.raw,
+                Use::TransferSource.layout(),
+                to.raw,
+                Use::TransferDestination.layout(),
+                &region,
+                filter,
+            );
+        });
+    }
+
+    /// Fills a colour image in the use [`Use::TransferDestination`] with one value (linear red, green, blue, alpha).
+    pub fn clear(&mut self, image: &Arc<Image>, color: [f32; 4]) {
+        let right = image.aspect() == vk::ImageAspectFlags::COLOR && !self.rendering;
+        if !self.ensure(right, "a clear of an image without colour, or inside of rendering") {
+            return;
+        }
+        self.keep(image);
+        let range = [vk::ImageSubresourceRange {
+            aspect_mask: vk::ImageAspectFlags::COLOR,
+            base_mip_level: 0,
+            level_count: vk::REMAINING_MIP_LEVELS,
+            base_array_layer: 0,
+            layer_count: vk::REMAINING_ARRAY_LAYERS,
+        }];
+        // SAFETY: recording; the image is kept.
+        quick(|| unsafe {
+            self.commands.device.raw.cmd_clear_color_image(
+                self.commands.raw,
+                image.raw,
+                Use::TransferDestination.layout(),
+                &vk::ClearColorValue { float32: color },
+                &range,
+            );
+        });
+    }
+
+    /// Fills mips 1, 2, … of an image from mip 0 by halving. All of it must be in the use [`Use::TransferDestination`]; afterwards all
+    /// of it is in the use `then`.
+    pub fn fill_mips(&mut self, image: &Arc<Image>, then: Use) {
+        for mip in 1..image.mips() {
+            let source =
+                ImageBarrier::new(image, Use::TransferDestination, Use::TransferSource).mips(mip - 1, 1);
+            self.barrier(&[source], &[]);
+            for layer in 0..image.layers() {
+                let (from, to) = (Area::whole(image, layer, mip - 1), Area::whole(image, layer, mip));
+                self.blit(image, from, image, to, vk::Filter::LINEAR);
+            }
+        }
+        let last = image.mips() - 1;
+        let upper = ImageBarrier::new(image, Use::TransferSource, then).mips(0, last);
+        let lowest = ImageBarrier::new(image, Use::TransferDestination, then).mips(last, 1);
+        if last == 0 {
+            self.barrier(&[lowest], &[]);
+        } else {
+            self.barrier(&[upper, lowest], &[]);
+        }
+    }
+}
+
+fn store_op(store: bool) -> vk::AttachmentStoreOp {
+    if store { vk::AttachmentStoreOp::STORE } else { vk::AttachmentStoreOp::DONT_CARE }
+}
