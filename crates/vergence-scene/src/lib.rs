@@ -8,10 +8,15 @@ pub mod animation;
 mod error;
 pub mod gltf;
 mod import;
+mod lines;
 mod load;
 pub mod model;
+mod mtl;
 mod needs;
+mod obj;
 mod picture;
+mod ply;
+mod polygon;
 mod surface;
 pub mod text;
 

@@ -3,7 +3,7 @@ use std::path::Path;
 use crate::import::{Import, Limits, Progress};
 use crate::{Error, Scene};
 
-/// Loads the scene at `path`: `.glb`, `.gltf`.
+/// Loads the scene at `path`: `.glb`, `.gltf`, `.obj`, `.ply`.
 ///
 /// Files that it names must lie in (or below) its folder. What the format can say but Vergence does not draw is in
 /// [`Scene::warnings`], one sentence each.
@@ -25,8 +25,14 @@ pub fn load_with(path: &Path, limits: &Limits, progress: &mut dyn FnMut(Progress
     let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     let mut scene = match extension.as_deref() {
         Some("glb" | "gltf") => crate::gltf::load(&mut import, path, bytes)?,
+        Some("obj") => crate::obj::load(&mut import, path, bytes)?,
+        Some("ply") => crate::ply::load(&mut import, path, bytes)?,
         _ => {
-            return Err(Error::invalid(path, "file name", "expected .glb or .gltf, found another ending"));
+            return Err(Error::invalid(
+                path,
+                "file name",
+                "expected .glb, .gltf, .obj or .ply, found another ending",
+            ));
         }
     };
     scene.warnings = import.take_warnings();

@@ -133,29 +133,33 @@ pub(crate) fn tangents(primitive: &mut Primitive, uv_set: u8) {
     if bevy_mikktspace::generate_tangents(&mut corners).is_err() {
         return;
     }
-    let corners = corners.tangents;
-    // A first tangent stays at its vertex; others get copies of it.
-    let mut first: Vec<Option<[f32; 4]>> = vec![None; primitive.positions.len()];
-    let mut copies: HashMap<(u32, [u32; 4]), u32> = HashMap::new();
+    let corners = corners.tangents.into_iter().map(sound).collect::<Vec<_>>();
+    primitive.tangents = split(primitive, &corners, [1.0, 0.0, 0.0, 1.0]);
+}
+
+/// Gives vertices their corners' values: a vertex whose corners disagree is split. `corners` holds one value per
+/// index, the answer one per vertex; a vertex of no triangle gets `unused`.
+fn split<const N: usize>(primitive: &mut Primitive, corners: &[[f32; N]], unused: [f32; N]) -> Vec<[f32; N]> {
+    // A first value stays at its vertex; others get copies of it.
+    let mut first: Vec<Option<[f32; N]>> = vec![None; primitive.positions.len()];
+    let mut copies: HashMap<(u32, [u32; N]), u32> = HashMap::new();
     let mut originals = Vec::new();
-    for (index, tangent) in primitive.indices.iter_mut().zip(corners) {
-        let tangent = sound(tangent);
+    for (index, &value) in primitive.indices.iter_mut().zip(corners) {
         let slot = &mut first[*index as usize];
         match slot {
-            None => *slot = Some(tangent),
-            Some(kept) if *kept == tangent => {}
+            None => *slot = Some(value),
+            Some(kept) if *kept == value => {}
             Some(_) => {
                 let next = (primitive.positions.len() + originals.len()) as u32;
                 let original = *index;
-                *index = *copies.entry((original, tangent.map(f32::to_bits))).or_insert_with(|| {
-                    originals.push((original as usize, tangent));
+                *index = *copies.entry((original, value.map(f32::to_bits))).or_insert_with(|| {
+                    originals.push((original as usize, value));
                     next
                 });
             }
         }
     }
-    primitive.tangents = first.into_iter().map(|t| t.unwrap_or([1.0, 0.0, 0.0, 1.0])).collect();
-    fn copy<T: Copy>(values: &mut Vec<T>, originals: &[(usize, [f32; 4])]) {
+    fn copy<T: Copy, V>(values: &mut Vec<T>, originals: &[(usize, V)]) {
         if !values.is_empty() {
             values.reserve_exact(originals.len());
             for &(original, _) in originals {
@@ -170,7 +174,84 @@ pub(crate) fn tangents(primitive: &mut Primitive, uv_set: u8) {
     copy(&mut primitive.colors, &originals);
     copy(&mut primitive.joints, &originals);
     copy(&mut primitive.weights, &originals);
-    primitive.tangents.extend(originals.iter().map(|&(_, tangent)| tangent));
+    let values = first.into_iter().map(|value| value.unwrap_or(unused));
+    values.chain(originals.iter().map(|&(_, value)| value)).collect()
+}
+
+/// Which triangles around a point share its normal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Smoothing {
+    /// Those that meet at less than [`CREASE_DEG`]: the file does not say.
+    ByAngle,
+    /// None: each triangle is flat.
+    Flat,
+    /// Those of the same group.
+    Group(u32),
+}
+
+/// Triangles that meet at a larger angle than this have an edge between them, where the file does not say.
+const CREASE_DEG: f64 = 50.0;
+
+/// Around a point with more triangles than this all share one normal: the comparison of each with each would take
+/// too long.
+const MOST_COMPARED: usize = 64;
+
+/// Computes normals, weighted by area, and splits vertices along edges. `point` says for each vertex which point of
+/// the file it stands on (vertices that differ in texture coordinates only share one); `smoothing` for each triangle
+/// which others it goes with.
+pub(crate) fn creased_normals(
+    primitive: &mut Primitive,
+    point: &[u32],
+    smoothing: impl Fn(usize) -> Smoothing,
+) {
+    let triangles: Vec<Vector3<f64>> =
+        primitive.indices.chunks_exact(3).map(|triangle| area_normal(primitive, triangle)).collect();
+    let units: Vec<Vector3<f32>> = triangles.iter().map(|n| Vector3::from(unit_or_up(n))).collect();
+    // Triangles of each point, one after the other.
+    let points = point.iter().max().map_or(0, |&max| max as usize + 1);
+    let mut starts = vec![0u32; points + 1];
+    for &vertex in &primitive.indices {
+        starts[point[vertex as usize] as usize + 1] += 1;
+    }
+    for i in 0..points {
+        starts[i + 1] += starts[i];
+    }
+    let mut filled = starts.clone();
+    let mut around = vec![0u32; primitive.indices.len()];
+    for (corner, &vertex) in primitive.indices.iter().enumerate() {
+        let slot = &mut filled[point[vertex as usize] as usize];
+        around[*slot as usize] = (corner / 3) as u32;
+        *slot += 1;
+    }
+    drop(filled);
+    let crease = CREASE_DEG.to_radians().cos() as f32;
+    let mut sums: HashMap<u32, Vector3<f64>> = HashMap::new();
+    let corners: Vec<[f32; 3]> = primitive
+        .indices
+        .iter()
+        .enumerate()
+        .map(|(corner, &vertex)| {
+            let (own, point) = (corner / 3, point[vertex as usize]);
+            let neighbours = &around[starts[point as usize] as usize..starts[point as usize + 1] as usize];
+            let own_smoothing = smoothing(own);
+            if own_smoothing == Smoothing::Flat {
+                return units[own].into();
+            }
+            if neighbours.len() > MOST_COMPARED {
+                let all = || neighbours.iter().map(|&t| triangles[t as usize]).sum();
+                return unit_or_up(sums.entry(point).or_insert_with(all));
+            }
+            let goes_along = |&&other: &&u32| {
+                smoothing(other as usize) == own_smoothing
+                    && (own_smoothing != Smoothing::ByAngle
+                        || units[own].dot(&units[other as usize]) >= crease)
+            };
+            let sum: Vector3<f64> =
+                neighbours.iter().filter(goes_along).map(|&t| triangles[t as usize]).sum();
+            if sum == Vector3::zeros() { units[own].into() } else { unit_or_up(&sum) }
+        })
+        .collect();
+    primitive.normals = split(primitive, &corners, [0.0, 1.0, 0.0]);
 }
 
 /// A tangent with finite numbers and unit length, whatever came.
