@@ -1,0 +1,655 @@
+//! A session: its states, spaces, images, input, and the frame loop's calls in their order.
+
+use std::sync::Arc;
+
+use openxr::sys;
+use vergence_action::ActionSet;
+use vergence_geom::{Rigid, View};
+use vergence_gpu::{Device, ImageView, vk, vk::Handle as _};
+use vergence_sense::{Gaze, Hand, HandJoints, Haptic, Pose};
+use vergence_time::{Span, Timestamp};
+
+use crate::connection::Connection;
+use crate::convert;
+use crate::error::{Error, In, check};
+use crate::event::{Notice, Notices};
+use crate::hands::Hands;
+use crate::input::{Input, Reading};
+use crate::located::{Located, Viewpoints};
+use crate::runtime_clock::RuntimeClock;
+use crate::state::{Lifecycle, State, Step};
+use crate::swapchain::{Swapchain, SwapchainDesc};
+use crate::time_guard::{Prediction, TimeGuard};
+
+/// Colour formats in the order in which they are liked; both store sRGB.
+const COLOR_FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
+/// Depth formats in the order in which they are liked.
+const DEPTH_FORMATS: [vk::Format; 1] = [vk::Format::D32_SFLOAT];
+/// Height of the eyes over the floor where the runtime does not know its floor, metres.
+const ASSUMED_EYE_HEIGHT_M: f64 = 1.6;
+
+/// What a session shall be.
+#[derive(Clone, Copy, Debug)]
+pub struct SessionDesc<'a> {
+    /// Distance of the near plane, metres, for the depth layer (reversed depth, no far plane).
+    pub near_m: f64,
+    /// Size of the pictures as a factor of the recommended one; 1 matches the display. Cost grows with its square.
+    pub render_scale: f64,
+    /// What the user can do; nothing is created where it is empty.
+    pub actions: &'a ActionSet,
+    /// Whether the joints of the hands are read.
+    pub hand_joints: bool,
+    /// Whether the gaze is read.
+    pub eye_gaze: bool,
+    /// The display's rate, where the runtime lets it be chosen; `None`: as it is.
+    pub refresh_rate_hz: Option<f32>,
+}
+
+impl<'a> SessionDesc<'a> {
+    /// The defaults: near plane at 5 cm, the recommended size, no further streams, the display's rate as it is.
+    pub const fn new(actions: &'a ActionSet) -> Self {
+        Self {
+            near_m: 0.05,
+            render_scale: 1.0,
+            actions,
+            hand_joints: false,
+            eye_gaze: false,
+            refresh_rate_hz: None,
+        }
+    }
+}
+
+/// What the pictures of a session are like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pictures {
+    /// Format of the colour images.
+    pub color_format: vk::Format,
+    /// Format of the depth images; `None` where no depth is submitted.
+    pub depth_format: Option<vk::Format>,
+    /// Width and height of each view, pixels.
+    pub size: (u32, u32),
+    /// Number of views, one array layer each.
+    pub views: u32,
+}
+
+/// A frame that has been waited for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// When it will be shown.
+    pub prediction: Prediction,
+    /// Whether anybody will see it; else nothing need be drawn.
+    pub should_render: bool,
+}
+
+/// Where to draw a frame; one layer per view.
+#[derive(Clone)]
+pub struct Attachments {
+    /// sRGB.
+    pub color: Arc<ImageView>,
+    /// Reversed depth, where it is submitted.
+    pub depth: Option<Arc<ImageView>>,
+}
+
+/// What the eyes never see of a picture: triangles on the plane one metre ahead (x right, y up).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct HiddenArea {
+    /// Metres at distance 1: tangents of the angles from the axis.
+    pub vertices: Vec<[f32; 2]>,
+    /// Three per triangle.
+    pub indices: Vec<u32>,
+}
+
+/// A session on a headset.
+///
+/// The renderer must have finished with all [`Attachments`] before the client is dropped (the device is waited for, but
+/// views kept elsewhere would outlive their images).
+pub struct Client {
+    lifecycle: Lifecycle,
+    notices: Notices,
+    guard: TimeGuard,
+    reported_fault: bool,
+    clock: RuntimeClock,
+    host: vergence_time::HostClock,
+    viewpoints: Viewpoints,
+    pictures: Pictures,
+    near_m: f64,
+    begun: bool,
+    discarded: u64,
+    /// Boxed once: an event is 4 KB.
+    events: Box<openxr::EventDataBuffer>,
+    // What lives on the session, then the session, then what it was made from: fields are dropped in this order.
+    input: Option<Input>,
+    joints: Option<Hands>,
+    color: Swapchain,
+    depth: Option<Swapchain>,
+    head: openxr::Space,
+    floor: Option<openxr::Space>,
+    local: openxr::Space,
+    waiter: openxr::FrameWaiter,
+    session: openxr::Session<openxr::Vulkan>,
+    device: Arc<Device>,
+    connection: Arc<Connection>,
+}
+
+impl Client {
+    /// Starts a session on a device that the connection's [`Creator`](crate::Creator) made.
+    ///
+    /// # Errors
+    /// Where the runtime refuses, or offers no format that can be drawn into.
+    pub fn new(
+        connection: &Arc<Connection>,
+        device: &Arc<Device>,
+        desc: &SessionDesc<'_>,
+    ) -> Result<Self, Error> {
+        let (session, waiter) = create_session(connection, device)?;
+        let pictures = choose_pictures(connection, &session, device, desc)?;
+        let swapchain = |name, format, is_depth| {
+            let Pictures { size, views: layers, .. } = pictures;
+            Swapchain::new(&session, device, &SwapchainDesc { name, format, size, layers, is_depth })
+        };
+        let color = swapchain("openxr colour", pictures.color_format, false)?;
+        let depth =
+            pictures.depth_format.map(|format| swapchain("openxr depth", format, true)).transpose()?;
+
+        let space =
+            |kind| session.create_reference_space(kind, convert::IDENTITY).during("xrCreateReferenceSpace");
+        let offered = session.enumerate_reference_spaces().during("xrEnumerateReferenceSpaces")?;
+        let floor_kinds = [openxr::ReferenceSpaceType::LOCAL_FLOOR, openxr::ReferenceSpaceType::STAGE];
+        let floor_kind = floor_kinds.into_iter().find(|&kind| {
+            let may_ask = kind != openxr::ReferenceSpaceType::LOCAL_FLOOR
+                || connection.has("XR_EXT_local_floor")
+                || connection.description().api == "1.1";
+            may_ask && offered.contains(&kind)
+        });
+        let input = Input::new(connection, &session, desc.actions, desc.eye_gaze)?;
+        let joints = if desc.hand_joints { Hands::new(connection, &session)? } else { None };
+        choose_refresh_rate(connection, &session, desc.refresh_rate_hz);
+        Ok(Self {
+            lifecycle: Lifecycle::new(),
+            notices: Notices::default(),
+            guard: TimeGuard::default(),
+            reported_fault: false,
+            clock: RuntimeClock::default(),
+            host: vergence_time::HostClock::start(),
+            viewpoints: Viewpoints::new(pictures.views),
+            pictures,
+            near_m: desc.near_m,
+            begun: false,
+            discarded: 0,
+            events: Box::new(openxr::EventDataBuffer::new()),
+            input,
+            joints,
+            color,
+            depth,
+            head: space(openxr::ReferenceSpaceType::VIEW)?,
+            floor: floor_kind.map(space).transpose()?,
+            local: space(openxr::ReferenceSpaceType::LOCAL)?,
+            waiter,
+            session,
+            device: Arc::clone(device),
+            connection: Arc::clone(connection),
+        })
+    }
+
+    /// What the pictures are like.
+    pub const fn pictures(&self) -> Pictures {
+        self.pictures
+    }
+
+    /// The state now.
+    pub const fn state(&self) -> State {
+        self.lifecycle.state()
+    }
+
+    /// CPU time that this thread has spent inside the runtime so far (time that it spent inside Vulkan there not
+    /// counted: the graphics device counts that).
+    pub fn runtime_cpu(&self) -> Span {
+        self.clock.spent()
+    }
+
+    /// Frames that the runtime threw away because the next one was begun.
+    pub const fn discarded_frames(&self) -> u64 {
+        self.discarded
+    }
+
+    /// Follows the runtime's events and says what has happened, oldest first. Call before every frame, and now and then
+    /// while no frames are paced.
+    ///
+    /// # Errors
+    /// Where the runtime refuses; losses are states, too.
+    pub fn poll(&mut self) -> Result<State, Error> {
+        let result = self.poll_events();
+        self.note(result)?;
+        Ok(self.state())
+    }
+
+    fn poll_events(&mut self) -> Result<(), Error> {
+        // A runtime that never stops sending events is not followed for ever.
+        for _ in 0..1000 {
+            let Self { clock, session, events, .. } = self;
+            let polled = clock.during(|| session.instance().poll_event(events));
+            let before = self.lifecycle.state();
+            let Some(event) = polled.during("xrPollEvent")? else { break };
+            let step = self.notices.take(&event, &mut self.lifecycle, &self.session);
+            match step {
+                Step::Nothing => {}
+                Step::Begin => {
+                    let kind = self.connection.view_configuration;
+                    let Self { clock, session, .. } = self;
+                    let begun = clock.during(|| session.begin(kind)).during("xrBeginSession");
+                    if let Err(error) = begun {
+                        self.lifecycle.on_begin_failed();
+                        return Err(error);
+                    }
+                }
+                Step::End => {
+                    self.begun = false;
+                    let Self { clock, session, .. } = self;
+                    clock.during(|| session.end()).during("xrEndSession")?;
+                }
+            }
+            let after = self.lifecycle.state();
+            if after != before {
+                self.notices.push(Notice::State(after));
+            }
+        }
+        Ok(())
+    }
+
+    /// What has happened since the last call, oldest first.
+    pub fn drain_notices(&mut self) -> impl Iterator<Item = Notice> + '_ {
+        self.notices.drain()
+    }
+
+    /// Asks the runtime to end the session: states then lead to [`State::Exiting`]. Nothing happens where no frames are
+    /// paced: such a session is simply dropped.
+    ///
+    /// # Errors
+    /// Where the runtime refuses.
+    pub fn request_exit(&mut self) -> Result<(), Error> {
+        if !self.state().is_running() {
+            return Ok(());
+        }
+        let Self { clock, session, .. } = self;
+        let result = clock.during(|| session.request_exit()).during("xrRequestExitSession");
+        self.note(result)
+    }
+
+    /// Waits until the next frame should be begun. May block for as long as the runtime likes.
+    ///
+    /// # Errors
+    /// A loss, or a call while no frames are paced.
+    pub fn wait(&mut self) -> Result<Frame, Error> {
+        let Self { clock, waiter, .. } = self;
+        let waited = clock.during(|| waiter.wait()).during("xrWaitFrame");
+        let state = self.note(waited)?;
+        let runtime_now = self.clock.during(|| self.connection.now());
+        let prediction = self.guard.check(
+            Timestamp::from_nanos(state.predicted_display_time.as_nanos()),
+            Span::from_nanos(state.predicted_display_period.as_nanos()),
+            vergence_time::Clock::now(&self.host),
+            runtime_now,
+        );
+        if let Some(fault) = prediction.fault
+            && !self.reported_fault
+        {
+            self.notices.push(Notice::Time(fault));
+        }
+        self.reported_fault = prediction.fault.is_some();
+        Ok(Frame { prediction, should_render: state.should_render })
+    }
+
+    /// Begins the frame that was waited for.
+    ///
+    /// # Errors
+    /// A loss, or a call out of order.
+    pub fn begin(&mut self) -> Result<(), Error> {
+        let Self { clock, session, .. } = self;
+        // SAFETY: the session lives; a null begin info is allowed.
+        let result = clock
+            .during(|| unsafe { (session.instance().fp().begin_frame)(session.as_raw(), std::ptr::null()) });
+        let begun = check("xrBeginFrame", result);
+        let result = self.note(begun)?;
+        if result == sys::Result::FRAME_DISCARDED {
+            self.discarded += 1;
+        }
+        self.begun = true;
+        Ok(())
+    }
+
+    /// Where the eyes are at the instant `time`, in LOCAL space. `None` where the runtime does not know and never did:
+    /// then nothing can be drawn. Where it has lost them, the last known poses, marked so.
+    ///
+    /// # Errors
+    /// A loss.
+    pub fn locate(&mut self, time: Timestamp) -> Result<Option<Located>, Error> {
+        let Self { clock, session, connection, viewpoints, local, .. } = self;
+        let located = clock.during(|| viewpoints.locate(session, connection.view_configuration, local, time));
+        self.note(located)
+    }
+
+    /// Where the head is at the instant `time`, in LOCAL space.
+    ///
+    /// # Errors
+    /// A loss.
+    pub fn locate_head(&mut self, time: Timestamp) -> Result<Pose, Error> {
+        let Self { clock, head, local, .. } = self;
+        let time = openxr::Time::from_nanos(time.as_nanos());
+        let located = clock.during(|| head.locate(local, time)).during("xrLocateSpace");
+        let located = self.note(located)?;
+        Ok(convert::pose(located.location_flags, &located.pose))
+    }
+
+    /// Where the floor's origin is in LOCAL space at the instant `time`: upright, below LOCAL's origin. Where the runtime
+    /// knows no floor, 1.6 m below.
+    ///
+    /// # Errors
+    /// A loss.
+    pub fn local_from_floor(&mut self, time: Timestamp) -> Result<Rigid, Error> {
+        let assumed = Rigid::translation(0.0, -ASSUMED_EYE_HEIGHT_M, 0.0);
+        let Self { clock, floor: Some(floor), local, .. } = self else { return Ok(assumed) };
+        let time = openxr::Time::from_nanos(time.as_nanos());
+        let located = clock.during(|| floor.locate(local, time)).during("xrLocateSpace");
+        let located = self.note(located)?;
+        let floor = convert::pose(located.location_flags, &located.pose).reference_from_device();
+        // Only its height: STAGE may lie and turn anywhere in the room.
+        Ok(floor
+            .map_or(assumed, |local_from_floor| Rigid::translation(0.0, local_from_floor.translation.y, 0.0)))
+    }
+
+    /// Images to draw the frame into.
+    ///
+    /// # Errors
+    /// A loss, or a compositor that keeps its images.
+    pub fn acquire(&mut self) -> Result<Attachments, Error> {
+        let acquired = self.acquire_both();
+        self.note(acquired)
+    }
+
+    fn acquire_both(&mut self) -> Result<Attachments, Error> {
+        let Self { clock, color, depth, .. } = self;
+        clock.during(|| {
+            let color = Arc::clone(color.acquire()?);
+            let depth = depth.as_mut().map(|d| d.acquire().map(Arc::clone)).transpose()?;
+            Ok(Attachments { color, depth })
+        })
+    }
+
+    /// Reads actions, hand joints and gaze for the instant `time`.
+    ///
+    /// # Errors
+    /// A loss.
+    pub fn sync_input(&mut self, time: Timestamp) -> Result<(), Error> {
+        let Self { clock, session, local, input, joints, .. } = self;
+        let synced = clock.during(|| {
+            if let Some(input) = input {
+                input.sync(session, local, time)?;
+            }
+            joints.as_mut().map_or(Ok(()), |joints| joints.locate(local, time))
+        });
+        self.note(synced)
+    }
+
+    /// Ends the frame. `shown` is what the pictures were drawn with, and is what the runtime is told, bit for bit; `None`
+    /// where nothing was drawn.
+    ///
+    /// # Errors
+    /// A loss, or a call out of order.
+    pub fn end(&mut self, frame: &Frame, shown: Option<&Located>) -> Result<(), Error> {
+        let ended = self.release_and_end(frame, shown);
+        self.note(ended)
+    }
+
+    fn release_and_end(&mut self, frame: &Frame, shown: Option<&Located>) -> Result<(), Error> {
+        let Self { clock, session, color, depth, local, pictures, near_m, .. } = self;
+        if !std::mem::take(&mut self.begun) {
+            // The session ended in between: there is no frame to end.
+            return Ok(());
+        }
+        let near_z = *near_m as f32;
+        clock.during(|| {
+            color.release()?;
+            depth.as_mut().map_or(Ok(()), Swapchain::release)?;
+            let Pictures { size, views, .. } = *pictures;
+            let depth_info = std::array::from_fn::<_, { Located::MOST_VIEWS }, _>(|view| {
+                depth.as_ref().map(|depth| sys::CompositionLayerDepthInfoKHR {
+                    ty: sys::CompositionLayerDepthInfoKHR::TYPE,
+                    next: std::ptr::null(),
+                    sub_image: depth.sub_image(view as u32, size),
+                    min_depth: 0.0,
+                    max_depth: 1.0,
+                    // Depth 0 is at infinity, depth 1 at the near plane.
+                    near_z: f32::INFINITY,
+                    far_z: near_z,
+                })
+            });
+            let projection_views = std::array::from_fn::<_, { Located::MOST_VIEWS }, _>(|view| {
+                let (pose, fov) = shown.map_or((convert::IDENTITY, openxr::Fovf::default()), |s| s.raw(view));
+                sys::CompositionLayerProjectionView {
+                    ty: sys::CompositionLayerProjectionView::TYPE,
+                    next: depth_info[view]
+                        .as_ref()
+                        .map_or(std::ptr::null(), |d| std::ptr::from_ref(d).cast()),
+                    pose,
+                    fov,
+                    sub_image: color.sub_image(view as u32, size),
+                }
+            });
+            let projection = sys::CompositionLayerProjection {
+                ty: sys::CompositionLayerProjection::TYPE,
+                next: std::ptr::null(),
+                layer_flags: openxr::CompositionLayerFlags::EMPTY,
+                space: local.as_raw(),
+                view_count: views,
+                views: projection_views.as_ptr(),
+            };
+            let layers = [std::ptr::from_ref(&projection).cast::<sys::CompositionLayerBaseHeader>()];
+            let info = sys::FrameEndInfo {
+                ty: sys::FrameEndInfo::TYPE,
+                next: std::ptr::null(),
+                display_time: openxr::Time::from_nanos(frame.prediction.display.as_nanos()),
+                environment_blend_mode: self.connection.blend_mode,
+                layer_count: u32::from(shown.is_some()),
+                layers: layers.as_ptr(),
+            };
+            // SAFETY: everything that the info points to lives in this scope; the frame has been begun.
+            let result = unsafe { (session.instance().fp().end_frame)(session.as_raw(), &info) };
+            check("xrEndFrame", result).map(|_| ())
+        })
+    }
+
+    /// What the eyes never see, one per view; empty where the runtime does not say.
+    ///
+    /// # Errors
+    /// A loss.
+    pub fn hidden_areas(&mut self) -> Result<Vec<HiddenArea>, Error> {
+        let Self { session, connection, pictures, .. } = self;
+        if !connection.has("XR_KHR_visibility_mask") {
+            return Ok(Vec::new());
+        }
+        let area = |view| {
+            let mask = session
+                .get_visibility_mask_khr(
+                    connection.view_configuration,
+                    view,
+                    openxr::VisibilityMaskTypeKHR::HIDDEN_TRIANGLE_MESH,
+                )
+                .during("xrGetVisibilityMaskKHR")?;
+            let vertices: Vec<[f32; 2]> = mask.vertices.iter().map(|v| [v.x, v.y]).collect();
+            let is_sound = mask.indices.len() % 3 == 0
+                && mask.indices.iter().all(|&index| (index as usize) < vertices.len())
+                && vertices.iter().flatten().all(|x| x.is_finite());
+            if !is_sound {
+                log::warn!("the runtime's visibility mask of view {view} is broken; going on without it");
+                return Ok(HiddenArea::default());
+            }
+            Ok(HiddenArea { vertices, indices: mask.indices })
+        };
+        (0..pictures.views).map(area).collect()
+    }
+
+    /// The place of an action in the plan's set; `None` where it is not in it.
+    pub fn action(&self, name: &str) -> Option<usize> {
+        self.input.as_ref()?.index(name)
+    }
+
+    /// What an action reads, as of the last [`Self::sync_input`].
+    pub fn reading(&self, action: usize, hand: Hand) -> Option<Reading> {
+        self.input.as_ref()?.reading(action, hand)
+    }
+
+    /// Where the user looks, in LOCAL space, as of the last [`Self::sync_input`].
+    pub fn gaze(&self) -> Option<Gaze> {
+        self.input.as_ref()?.gaze()
+    }
+
+    /// The joints of a hand in LOCAL space, as of the last [`Self::sync_input`].
+    pub fn hand_joints(&self, hand: Hand) -> Option<&HandJoints> {
+        self.joints.as_ref()?.joints(hand)
+    }
+
+    /// Lets a hand feel a pulse.
+    ///
+    /// # Errors
+    /// A loss.
+    pub fn pulse(&mut self, action: usize, hand: Hand, haptic: &Haptic) -> Result<(), Error> {
+        let Self { clock, session, input, .. } = self;
+        let Some(input) = input else { return Ok(()) };
+        let pulsed = clock.during(|| input.pulse(session, action, hand, haptic));
+        self.note(pulsed)
+    }
+
+    /// Which device a hand holds now, for people.
+    pub fn device_in(&self, hand: Hand) -> Option<String> {
+        self.input.as_ref()?.device(&self.session, hand)
+    }
+
+    /// Names of the devices whose suggestions the runtime took.
+    pub fn accepted_profiles(&self) -> &[&'static str] {
+        self.input.as_ref().map_or(&[], Input::accepted_profiles)
+    }
+
+    /// Whether actions were created at all.
+    pub const fn has_actions(&self) -> bool {
+        self.input.is_some()
+    }
+
+    /// The display's rate, where the runtime says it.
+    pub fn refresh_rate_hz(&self) -> Option<f32> {
+        if !self.connection.has(REFRESH_RATE) {
+            return None;
+        }
+        self.session.get_display_refresh_rate().ok().filter(|hz| *hz > 0.0)
+    }
+
+    /// Turns a failure that is a loss into the state as well.
+    fn note<T>(&mut self, result: Result<T, Error>) -> Result<T, Error> {
+        if let Err(Error::SessionLost { .. } | Error::InstanceLost { .. }) = &result {
+            if !matches!(self.lifecycle.state(), State::Lost { .. }) {
+                self.lifecycle.on_loss();
+                self.notices.push(Notice::State(self.lifecycle.state()));
+            }
+            self.begun = false;
+        }
+        result
+    }
+}
+
+impl Drop for Client {
+    fn drop(&mut self) {
+        // The runtime's images must not be destroyed while the GPU draws into them. A lost device has nothing to finish.
+        if let Err(error) = self.device.wait_idle() {
+            log::warn!("{error}");
+        }
+    }
+}
+
+const REFRESH_RATE: &str = "XR_FB_display_refresh_rate";
+
+fn create_session(
+    connection: &Connection,
+    device: &Arc<Device>,
+) -> Result<(openxr::Session<openxr::Vulkan>, openxr::FrameWaiter), Error> {
+    let raw = device.raw();
+    let pointer = |handle: u64| handle as usize as *const std::ffi::c_void;
+    let info = openxr::vulkan::SessionCreateInfo {
+        instance: pointer(raw.instance.as_raw()),
+        physical_device: pointer(raw.physical_device.as_raw()),
+        device: pointer(raw.device.as_raw()),
+        queue_family_index: raw.queue_family,
+        queue_index: raw.queue_index,
+    };
+    // SAFETY: the handles are of a device that the runtime made (the caller's rule), and the guard keeps it alive until
+    // the session is destroyed.
+    let made = unsafe {
+        connection.instance.create_session_with_guard::<openxr::Vulkan>(
+            connection.system,
+            &info,
+            Box::new(Arc::clone(device)),
+        )
+    };
+    let (session, waiter, _stream) = made.during("xrCreateSession")?;
+    Ok((session, waiter))
+}
+
+fn choose_pictures(
+    connection: &Connection,
+    session: &openxr::Session<openxr::Vulkan>,
+    device: &Device,
+    desc: &SessionDesc<'_>,
+) -> Result<Pictures, Error> {
+    let offered = session.enumerate_swapchain_formats().during("xrEnumerateSwapchainFormats")?;
+    let choose = |liked: &[vk::Format]| {
+        liked.iter().copied().find(|format| offered.contains(&(format.as_raw() as u32)))
+    };
+    let color_format = choose(&COLOR_FORMATS).ok_or_else(|| Error::Unsupported {
+        what: "colour formats of swapchains",
+        expected: "R8G8B8A8_SRGB or B8G8R8A8_SRGB".into(),
+        found: format!("{:?}", offered.iter().map(|&f| vk::Format::from_raw(f as i32)).collect::<Vec<_>>()),
+    })?;
+    let depth_format =
+        if connection.has("XR_KHR_composition_layer_depth") { choose(&DEPTH_FORMATS) } else { None };
+    let largest_image = device.limits().max_image_size;
+    let scaled = |recommended: u32, largest: u32| {
+        let wanted = (f64::from(recommended) * desc.render_scale).round();
+        // A cast from f64 is held at the ends of u32; zero would be no picture.
+        (wanted as u32).clamp(1, largest.min(largest_image).max(1))
+    };
+    // All views share one image, so it must fit each of them.
+    let size = connection.views().iter().fold((1, 1), |(width, height), view| {
+        (
+            width.max(scaled(view.recommended.0, view.largest.0)),
+            height.max(scaled(view.recommended.1, view.largest.1)),
+        )
+    });
+    let views = u32::try_from(connection.views().len()).unwrap_or(1);
+    Ok(Pictures { color_format, depth_format, size, views })
+}
+
+/// Asks for the rate nearest to the wanted one. A refusal is no reason to show nothing.
+fn choose_refresh_rate(
+    connection: &Connection,
+    session: &openxr::Session<openxr::Vulkan>,
+    wanted_hz: Option<f32>,
+) {
+    let Some(wanted_hz) = wanted_hz else { return };
+    if !connection.has(REFRESH_RATE) {
+        log::warn!("the runtime does not let the display's rate be chosen");
+        return;
+    }
+    let rates = session.enumerate_display_refresh_rates().unwrap_or_default();
+    let nearest =
+        rates.iter().copied().min_by(|a, b| (a - wanted_hz).abs().total_cmp(&(b - wanted_hz).abs()));
+    let Some(nearest) = nearest else { return };
+    match session.request_display_refresh_rate(nearest) {
+        Ok(()) => log::info!("asked for {nearest} Hz (wanted {wanted_hz}, offered {rates:?})"),
+        Err(result) => log::warn!("the runtime refuses {nearest} Hz: {result}"),
+    }
+}
+
+/// The views of a frame in world coordinates.
+pub fn in_world(world_from_local: &Rigid, located: &Located, views: &mut [View]) {
+    for (view, local) in views.iter_mut().zip(located.views()) {
+        *view = View { world_from_eye: world_from_local * local.world_from_eye, fov: local.fov };
+    }
+}

@@ -1,0 +1,270 @@
+//! From nothing to a runtime with a headset: loader or embedded runtime, extensions, instance, system.
+
+use std::ffi::c_char;
+
+use openxr::sys;
+use vergence_plan::Extension;
+
+use crate::error::{Error, In};
+
+/// More extensions than any runtime has; a larger count is a fault of the runtime.
+const MOST_EXTENSIONS: u32 = 10_000;
+const STEREO: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_STEREO;
+const MONO: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_MONO;
+
+/// How to find the runtime.
+#[derive(Clone, Copy, Debug)]
+pub enum Way {
+    /// The system's OpenXR loader, which finds the runtime that the user has chosen.
+    Loader,
+    /// A runtime that is linked into this process.
+    Embedded(EmbeddedRuntime),
+}
+
+/// The entry point of a runtime that is linked into this process.
+#[derive(Clone, Copy, Debug)]
+pub struct EmbeddedRuntime {
+    get_instance_proc_addr: sys::pfn::GetInstanceProcAddr,
+}
+
+impl EmbeddedRuntime {
+    /// Names a runtime by its `xrGetInstanceProcAddr`.
+    ///
+    /// # Safety
+    /// The function must conform to OpenXR: for every core name it gives a function with that name's semantics.
+    pub const unsafe fn new(get_instance_proc_addr: sys::pfn::GetInstanceProcAddr) -> Self {
+        Self { get_instance_proc_addr }
+    }
+}
+
+/// A runtime with a headset: instance and system.
+pub struct Connection {
+    pub(crate) instance: openxr::Instance,
+    pub(crate) system: openxr::SystemId,
+    pub(crate) view_configuration: openxr::ViewConfigurationType,
+    pub(crate) blend_mode: openxr::EnvironmentBlendMode,
+    extensions: Vec<String>,
+    description: Description,
+    views: Vec<ViewSize>,
+}
+
+/// What a runtime says of itself and of the headset.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Description {
+    /// Name and version of the runtime.
+    pub runtime: String,
+    /// Name of the headset.
+    pub headset: String,
+    /// Version of OpenXR that was agreed on, as `1.1`.
+    pub api: String,
+}
+
+/// How large the picture of one eye should and can be, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ViewSize {
+    /// Width and height that match the display.
+    pub recommended: (u32, u32),
+    /// The largest that are accepted.
+    pub largest: (u32, u32),
+}
+
+impl Connection {
+    /// Finds a runtime and its headset and asks for `extensions`: those that are required must be there, the others are
+    /// used where they are offered. Asks for OpenXR 1.1 first and for 1.0 where that is refused.
+    ///
+    /// # Errors
+    /// No loader, no runtime, no headset, a required extension missing; see [`Error::state`] for whether waiting helps.
+    pub fn open(way: Way, app_name: &str, extensions: &[Extension]) -> Result<Self, Error> {
+        let entry = entry(way)?;
+        let offered = offered_extensions(&entry)?;
+        let mut chosen = Vec::with_capacity(extensions.len());
+        for extension in extensions {
+            if offered.iter().any(|name| name == extension.name) {
+                chosen.push(extension.name.to_owned());
+            } else if extension.required {
+                return Err(Error::MissingExtension {
+                    runtime: "that was found".into(),
+                    name: extension.name.into(),
+                    found: offered.len(),
+                });
+            } else {
+                log::info!("{} is not offered ({})", extension.name, extension.why);
+            }
+        }
+        let (instance, api) = create_instance(&entry, app_name, &chosen)?;
+        let properties = instance.properties().during("xrGetInstanceProperties")?;
+        let runtime = format!("{} {}", properties.runtime_name, properties.runtime_version);
+        let system =
+            instance.system(openxr::FormFactor::HEAD_MOUNTED_DISPLAY).map_err(|result| match result {
+                sys::Result::ERROR_FORM_FACTOR_UNAVAILABLE | sys::Result::ERROR_FORM_FACTOR_UNSUPPORTED => {
+                    Error::NoHeadset { runtime: runtime.clone(), result }
+                }
+                result => Error::of("xrGetSystem", result),
+            })?;
+        let headset = instance.system_properties(system).during("xrGetSystemProperties")?.system_name;
+        let view_configuration = view_configuration(&instance, system)?;
+        let views = view_sizes(&instance, system, view_configuration)?;
+        let blend_mode = instance
+            .enumerate_environment_blend_modes(system, view_configuration)
+            .during("xrEnumerateEnvironmentBlendModes")?
+            .first()
+            .copied()
+            .unwrap_or(openxr::EnvironmentBlendMode::OPAQUE);
+        Ok(Self {
+            instance,
+            system,
+            view_configuration,
+            blend_mode,
+            extensions: chosen,
+            description: Description { runtime, headset, api },
+            views,
+        })
+    }
+
+    /// What the runtime says of itself.
+    pub const fn description(&self) -> &Description {
+        &self.description
+    }
+
+    /// One per view: two for stereo.
+    pub fn views(&self) -> &[ViewSize] {
+        &self.views
+    }
+
+    /// The extensions that are in use, all of them asked for.
+    pub fn extensions(&self) -> &[String] {
+        &self.extensions
+    }
+
+    pub(crate) fn has(&self, extension: &str) -> bool {
+        self.extensions.iter().any(|name| name == extension)
+    }
+
+    /// The runtime's clock, where it can be read.
+    pub(crate) fn now(&self) -> Option<vergence_time::Timestamp> {
+        if !self.has("XR_KHR_convert_timespec_time") {
+            return None;
+        }
+        self.instance.now().ok().map(|now| vergence_time::Timestamp::from_nanos(now.as_nanos()))
+    }
+}
+
+fn entry(way: Way) -> Result<openxr::Entry, Error> {
+    match way {
+        Way::Loader => {
+            // SAFETY: the file by this name in the linker's path is the system's OpenXR loader; who puts something else
+            // there owns the process anyway.
+            unsafe { openxr::Entry::load(&()) }.map_err(|error| match error {
+                openxr::EntryError::Load(error) => Error::NoLoader { detail: error.to_string() },
+                openxr::EntryError::Xr(result) => Error::NoRuntime { call: "the loader's start", result },
+            })
+        }
+        Way::Embedded(runtime) => {
+            // SAFETY: whoever made the EmbeddedRuntime guarantees that it conforms to OpenXR.
+            unsafe { openxr::Entry::from_get_instance_proc_addr(runtime.get_instance_proc_addr, &()) }
+                .map_err(|result| Error::NoRuntime { call: "xrGetInstanceProcAddr", result })
+        }
+    }
+}
+
+/// Names of the extensions that a runtime and the implicit layers offer.
+fn offered_extensions(entry: &openxr::Entry) -> Result<Vec<String>, Error> {
+    let call = "xrEnumerateInstanceExtensionProperties";
+    let no_runtime = |result| Error::NoRuntime { call, result };
+    let enumerate = entry.fp().enumerate_instance_extension_properties;
+    let mut count = 0;
+    // SAFETY: capacity 0 with a null array asks for the count only.
+    let result = unsafe { enumerate(std::ptr::null(), 0, &mut count, std::ptr::null_mut()) };
+    if result.into_raw() < 0 || count > MOST_EXTENSIONS {
+        return Err(no_runtime(result));
+    }
+    let empty = sys::ExtensionProperties {
+        ty: sys::ExtensionProperties::TYPE,
+        next: std::ptr::null_mut(),
+        extension_name: [0; sys::MAX_EXTENSION_NAME_SIZE],
+        extension_version: 0,
+    };
+    let mut properties = vec![empty; count as usize];
+    // SAFETY: the array has `count` initialised elements.
+    let result = unsafe { enumerate(std::ptr::null(), count, &mut count, properties.as_mut_ptr()) };
+    if result.into_raw() < 0 {
+        return Err(no_runtime(result));
+    }
+    properties.truncate(count as usize);
+    Ok(properties.iter().map(|p| text(&p.extension_name)).collect())
+}
+
+/// A fixed array up to its first NUL or its end.
+fn text(chars: &[c_char]) -> String {
+    let bytes: Vec<u8> = chars.iter().take_while(|&&c| c != 0).map(|&c| c as u8).collect();
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn create_instance(
+    entry: &openxr::Entry,
+    app_name: &str,
+    extensions: &[String],
+) -> Result<(openxr::Instance, String), Error> {
+    let with_nul: Vec<Vec<u8>> = extensions.iter().map(|name| [name.as_bytes(), b"\0"].concat()).collect();
+    let set: openxr::ExtensionSet = with_nul.iter().map(Vec::as_slice).collect();
+    // The crate asserts that the name fits.
+    let mut name_end = app_name.len().min(sys::MAX_APPLICATION_NAME_SIZE - 1);
+    while !app_name.is_char_boundary(name_end) {
+        name_end -= 1;
+    }
+    let mut refused = sys::Result::ERROR_API_VERSION_UNSUPPORTED;
+    for (minor, api) in [(1, "1.1"), (0, "1.0")] {
+        let info = openxr::ApplicationInfo {
+            application_name: &app_name[..name_end],
+            application_version: 0,
+            engine_name: "vergence",
+            engine_version: 0,
+            api_version: openxr::Version::new(1, minor, 0),
+        };
+        match entry.create_instance(&info, &set, &[], &()) {
+            Ok(instance) => return Ok((instance, api.to_owned())),
+            Err(result) => refused = result,
+        }
+        if refused != sys::Result::ERROR_API_VERSION_UNSUPPORTED {
+            break;
+        }
+    }
+    Err(Error::NoRuntime { call: "xrCreateInstance", result: refused })
+}
+
+fn view_configuration(
+    instance: &openxr::Instance,
+    system: openxr::SystemId,
+) -> Result<openxr::ViewConfigurationType, Error> {
+    let offered = instance.enumerate_view_configurations(system).during("xrEnumerateViewConfigurations")?;
+    [STEREO, MONO].into_iter().find(|wanted| offered.contains(wanted)).ok_or_else(|| Error::Unsupported {
+        what: "view configuration",
+        expected: "stereo or mono".into(),
+        found: format!("{offered:?}"),
+    })
+}
+
+fn view_sizes(
+    instance: &openxr::Instance,
+    system: openxr::SystemId,
+    view_configuration: openxr::ViewConfigurationType,
+) -> Result<Vec<ViewSize>, Error> {
+    let views: Vec<ViewSize> = instance
+        .enumerate_view_configuration_views(system, view_configuration)
+        .during("xrEnumerateViewConfigurationViews")?
+        .iter()
+        .map(|view| ViewSize {
+            recommended: (view.recommended_image_rect_width, view.recommended_image_rect_height),
+            largest: (view.max_image_rect_width, view.max_image_rect_height),
+        })
+        .collect();
+    let expected = if view_configuration == STEREO { 2 } else { 1 };
+    if views.len() != expected {
+        return Err(Error::Unsupported {
+            what: "number of views",
+            expected: expected.to_string(),
+            found: views.len().to_string(),
+        });
+    }
+    Ok(views)
+}

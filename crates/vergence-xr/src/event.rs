@@ -1,0 +1,105 @@
+//! What the runtime announces, as things that happened to the user.
+
+use openxr::{Event, ReferenceSpaceType};
+use vergence_time::Timestamp;
+
+use crate::state::{Lifecycle, State, Step};
+use crate::time_guard::TimeFault;
+
+/// Notices that are kept until they are asked for; the newest are dropped beyond.
+const NOTICES_KEPT: usize = 256;
+
+/// Something that happened.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Notice {
+    /// The session is in another state.
+    State(State),
+    /// The user or the runtime moved the origin of LOCAL space: it holds from that instant on.
+    Recentred {
+        /// When.
+        at: Timestamp,
+    },
+    /// A hand holds another device, or none.
+    HandsChanged,
+    /// What the lenses hide has changed.
+    HiddenAreaChanged,
+    /// The display's rate has changed.
+    RefreshRate {
+        /// Before, Hz.
+        from_hz: f32,
+        /// Now, Hz.
+        to_hz: f32,
+    },
+    /// The runtime's time was absurd and has been replaced.
+    Time(TimeFault),
+    /// The runtime could not keep all its events.
+    EventsLost(u32),
+}
+
+impl std::fmt::Display for Notice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::State(state) => f.write_str(state.sentence()),
+            Self::Recentred { .. } => f.write_str("the headset was recentred"),
+            Self::HandsChanged => f.write_str("a hand holds another device"),
+            Self::HiddenAreaChanged => f.write_str("the lenses hide another part of the picture"),
+            Self::RefreshRate { from_hz, to_hz } => {
+                write!(f, "the display's rate went from {from_hz} to {to_hz} Hz")
+            }
+            Self::Time(fault) => write!(f, "the runtime's {fault}"),
+            Self::EventsLost(count) => write!(f, "the runtime lost {count} events"),
+        }
+    }
+}
+
+/// What has happened and was not asked for yet; allocates once.
+#[derive(Debug)]
+pub(crate) struct Notices(Vec<Notice>);
+
+impl Default for Notices {
+    fn default() -> Self {
+        Self(Vec::with_capacity(NOTICES_KEPT))
+    }
+}
+
+impl Notices {
+    pub(crate) fn push(&mut self, notice: Notice) {
+        if self.0.len() < NOTICES_KEPT {
+            self.0.push(notice);
+        }
+    }
+
+    pub(crate) fn drain(&mut self) -> impl Iterator<Item = Notice> + '_ {
+        self.0.drain(..)
+    }
+
+    /// Takes an event and says what must be called.
+    pub(crate) fn take(
+        &mut self,
+        event: &Event<'_>,
+        lifecycle: &mut Lifecycle,
+        session: &openxr::Session<openxr::Vulkan>,
+    ) -> Step {
+        match event {
+            Event::SessionStateChanged(changed) if changed.session() == session.as_raw() => {
+                return lifecycle.on_session_state(changed.state());
+            }
+            Event::InstanceLossPending(_) => lifecycle.on_loss(),
+            Event::ReferenceSpaceChangePending(change)
+                if change.session() == session.as_raw()
+                    && change.reference_space_type() == ReferenceSpaceType::LOCAL =>
+            {
+                self.push(Notice::Recentred { at: Timestamp::from_nanos(change.change_time().as_nanos()) });
+            }
+            Event::InteractionProfileChanged(_) => self.push(Notice::HandsChanged),
+            Event::VisibilityMaskChangedKHR(_) => self.push(Notice::HiddenAreaChanged),
+            Event::DisplayRefreshRateChangedFB(changed) => self.push(Notice::RefreshRate {
+                from_hz: changed.from_display_refresh_rate(),
+                to_hz: changed.to_display_refresh_rate(),
+            }),
+            Event::EventsLost(lost) => self.push(Notice::EventsLost(lost.lost_event_count())),
+            _ => {}
+        }
+        Step::Nothing
+    }
+}

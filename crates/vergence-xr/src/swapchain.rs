@@ -1,0 +1,161 @@
+//! Images that the runtime owns and the renderer draws into.
+
+use std::sync::Arc;
+
+use openxr::{SwapchainUsageFlags, sys};
+use vergence_gpu::{
+    Device, Image, ImageDesc, ImageView,
+    vk::{self, Handle},
+};
+
+use crate::error::{Error, In, check};
+
+/// How long to wait for an image that the compositor still reads.
+const PATIENCE_NS: i64 = 2_000_000_000;
+
+/// One layer per view.
+pub(crate) struct Swapchain {
+    // Views and images before the swapchain whose images they borrow: fields are dropped in this order.
+    views: Vec<Arc<ImageView>>,
+    raw: openxr::Swapchain<openxr::Vulkan>,
+    instance: openxr::Instance,
+    /// Acquired and not released yet.
+    held: Option<u32>,
+}
+
+/// What to make.
+pub(crate) struct SwapchainDesc<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) format: vk::Format,
+    pub(crate) size: (u32, u32),
+    pub(crate) layers: u32,
+    pub(crate) is_depth: bool,
+}
+
+impl Swapchain {
+    pub(crate) fn new(
+        session: &openxr::Session<openxr::Vulkan>,
+        device: &Arc<Device>,
+        desc: &SwapchainDesc<'_>,
+    ) -> Result<Self, Error> {
+        let (usage_flags, usage) = if desc.is_depth {
+            (
+                SwapchainUsageFlags::DEPTH_STENCIL_ATTACHMENT | SwapchainUsageFlags::SAMPLED,
+                vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT | vk::ImageUsageFlags::SAMPLED,
+            )
+        } else {
+            // Transfer: the picture can be captured and mirrored.
+            (
+                SwapchainUsageFlags::COLOR_ATTACHMENT
+                    | SwapchainUsageFlags::SAMPLED
+                    | SwapchainUsageFlags::TRANSFER_SRC,
+                vk::ImageUsageFlags::COLOR_ATTACHMENT
+                    | vk::ImageUsageFlags::SAMPLED
+                    | vk::ImageUsageFlags::TRANSFER_SRC,
+            )
+        };
+        let raw = session
+            .create_swapchain(&openxr::SwapchainCreateInfo {
+                create_flags: openxr::SwapchainCreateFlags::EMPTY,
+                usage_flags,
+                format: desc.format.as_raw() as u32,
+                sample_count: 1,
+                width: desc.size.0,
+                height: desc.size.1,
+                face_count: 1,
+                array_size: desc.layers,
+                mip_count: 1,
+            })
+            .during("xrCreateSwapchain")?;
+        let mut views = Vec::new();
+        for image in raw.enumerate_images().during("xrEnumerateSwapchainImages")? {
+            let image_desc = ImageDesc {
+                name: desc.name,
+                format: desc.format,
+                width: desc.size.0,
+                height: desc.size.1,
+                layers: desc.layers,
+                usage,
+                ..ImageDesc::default()
+            };
+            // SAFETY: the runtime made the image on this device as described; it lives as long as the swapchain, which
+            // is dropped after the views (here), and whoever else uses a view is waited for before (the client's rule).
+            let image = unsafe { Image::borrowed(device, vk::Image::from_raw(image), &image_desc) };
+            views.push(image.view()?);
+        }
+        if views.is_empty() {
+            return Err(Error::Unsupported {
+                what: "images of a swapchain",
+                expected: "at least one".into(),
+                found: "none".into(),
+            });
+        }
+        Ok(Self { views, raw, instance: session.instance().clone(), held: None })
+    }
+
+    /// An image to draw into, once the compositor has let go of it.
+    pub(crate) fn acquire(&mut self) -> Result<&Arc<ImageView>, Error> {
+        let index = match self.held {
+            // The frame before failed between acquire and release: the image is still ours.
+            Some(index) => index,
+            None => {
+                let mut index = 0;
+                // SAFETY: the swapchain lives; a null acquire info is allowed.
+                let result = unsafe {
+                    (self.instance.fp().acquire_swapchain_image)(
+                        self.raw.as_raw(),
+                        std::ptr::null(),
+                        &mut index,
+                    )
+                };
+                check("xrAcquireSwapchainImage", result)?;
+                let info = sys::SwapchainImageWaitInfo {
+                    ty: sys::SwapchainImageWaitInfo::TYPE,
+                    next: std::ptr::null(),
+                    timeout: openxr::Duration::from_nanos(PATIENCE_NS),
+                };
+                // SAFETY: the swapchain lives and has an image that is acquired and not waited for.
+                let result = unsafe { (self.instance.fp().wait_swapchain_image)(self.raw.as_raw(), &info) };
+                if check("xrWaitSwapchainImage", result)? == sys::Result::TIMEOUT_EXPIRED {
+                    return Err(Error::Call {
+                        call: "xrWaitSwapchainImage",
+                        result: sys::Result::TIMEOUT_EXPIRED,
+                    });
+                }
+                self.held = Some(index);
+                index
+            }
+        };
+        self.views.get(index as usize).ok_or_else(|| Error::Unsupported {
+            what: "index of a swapchain image",
+            expected: format!("below {}", self.views.len()),
+            found: index.to_string(),
+        })
+    }
+
+    /// Gives the image to the compositor.
+    pub(crate) fn release(&mut self) -> Result<(), Error> {
+        if self.held.take().is_none() {
+            return Ok(());
+        }
+        // SAFETY: the swapchain lives and has an image that is acquired and waited for; null info is allowed.
+        let result =
+            unsafe { (self.instance.fp().release_swapchain_image)(self.raw.as_raw(), std::ptr::null()) };
+        check("xrReleaseSwapchainImage", result).map(|_| ())
+    }
+
+    /// One layer of the image that was released last, for a composition layer.
+    pub(crate) fn sub_image(&self, layer: u32, (width, height): (u32, u32)) -> sys::SwapchainSubImage {
+        sys::SwapchainSubImage {
+            swapchain: self.raw.as_raw(),
+            image_rect: openxr::Rect2Di {
+                offset: openxr::Offset2Di { x: 0, y: 0 },
+                extent: openxr::Extent2Di {
+                    width: i32::try_from(width).unwrap_or(i32::MAX),
+                    height: i32::try_from(height).unwrap_or(i32::MAX),
+                },
+            },
+            image_array_index: layer,
+        }
+    }
+}
