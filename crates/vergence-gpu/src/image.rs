@@ -300,8 +300,19 @@ impl ImageView {
     ///
     /// # Errors
     ///
-    /// Layers or mips outside of the image.
+    /// Layers or mips outside of the image, or an image that is only for copies.
     pub fn new(image: &Arc<Image>, desc: &ViewDesc) -> Result<Arc<Self>, Error> {
+        let viewable = vk::ImageUsageFlags::SAMPLED
+            | vk::ImageUsageFlags::STORAGE
+            | vk::ImageUsageFlags::COLOR_ATTACHMENT
+            | vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT;
+        if !image.usage.intersects(viewable) {
+            return Err(Error::range(
+                "usage of an image with views",
+                format_args!("one of {viewable:?}"),
+                format_args!("{:?}", image.usage),
+            ));
+        }
         let part = |what, base: u32, count: Option<u32>, all: u32| {
             let count = count.unwrap_or(all.saturating_sub(base));
             if count == 0 || base.checked_add(count).is_none_or(|end| end > all) {
