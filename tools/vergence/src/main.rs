@@ -4,6 +4,7 @@
 //! for people, or with `--json` one object as the last thing on stdout. Logs and progress go to stderr. Exit status:
 //! 0 done, 1 the work failed, 2 the call was wrong.
 
+mod doctor;
 mod failure;
 mod loading;
 mod logging;
@@ -32,12 +33,14 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     Plan(plan::Args),
+    Doctor(doctor::Args),
 }
 
 impl Verb {
     fn run(self) -> Result<(), Failure> {
         match self {
             Self::Plan(verb) => verb.run(),
+            Self::Doctor(verb) => verb.run(),
         }
     }
 }
