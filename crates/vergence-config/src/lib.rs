@@ -77,7 +77,7 @@ pub fn read<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Error> {
 pub fn parse<T: serde::de::DeserializeOwned>(path: impl AsRef<Path>, text: &str) -> Result<T, Error> {
     toml::from_str(text).map_err(|error| {
         let offset = error.span().map_or(0, |span| span.start);
-        invalid_at(path.as_ref(), text, offset, error.message())
+        invalid_at(path.as_ref(), text, offset, error.message().trim_end())
     })
 }
 

@@ -17,6 +17,8 @@ mod obj;
 mod picture;
 mod ply;
 mod polygon;
+pub mod scene_file;
+mod shapes;
 mod surface;
 pub mod text;
 

@@ -3,7 +3,7 @@ use std::path::Path;
 use crate::import::{Import, Limits, Progress};
 use crate::{Error, Scene};
 
-/// Loads the scene at `path`: `.glb`, `.gltf`, `.obj`, `.ply`.
+/// Loads the scene at `path`: `.glb`, `.gltf`, `.obj`, `.ply`, or a scene file (`.toml`).
 ///
 /// Files that it names must lie in (or below) its folder. What the format can say but Vergence does not draw is in
 /// [`Scene::warnings`], one sentence each.
@@ -27,11 +27,12 @@ pub fn load_with(path: &Path, limits: &Limits, progress: &mut dyn FnMut(Progress
         Some("glb" | "gltf") => crate::gltf::load(&mut import, path, bytes)?,
         Some("obj") => crate::obj::load(&mut import, path, bytes)?,
         Some("ply") => crate::ply::load(&mut import, path, bytes)?,
+        Some("toml") => crate::scene_file::load(&mut import, path, bytes)?,
         _ => {
             return Err(Error::invalid(
                 path,
                 "file name",
-                "expected .glb, .gltf, .obj or .ply, found another ending",
+                "expected .glb, .gltf, .obj, .ply or .toml, found another ending",
             ));
         }
     };

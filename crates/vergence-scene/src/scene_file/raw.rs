@@ -1,0 +1,265 @@
+//! A scene file as it stands: keys, types and units checked, nothing else.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use serde::de::{Deserializer, Error as _, SeqAccess, Visitor};
+use toml::Spanned;
+use vergence_config::{Angle, Length};
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SceneFile {
+    pub name: Option<String>,
+    pub background: Option<Color>,
+    pub ambient: Option<Color>,
+    pub start: Option<Spanned<Start>>,
+    #[serde(default, rename = "material")]
+    pub materials: BTreeMap<String, Spanned<Material>>,
+    #[serde(default, rename = "model")]
+    pub models: Vec<Spanned<Model>>,
+    #[serde(default, rename = "shape")]
+    pub shapes: Vec<Spanned<Shape>>,
+    #[serde(default, rename = "light")]
+    pub lights: Vec<Spanned<Light>>,
+    #[serde(default, rename = "label")]
+    pub labels: Vec<Spanned<Label>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Start {
+    #[serde(default)]
+    pub position: [Coordinate; 3],
+    pub yaw: Option<Angle>,
+}
+
+#[derive(Clone, Copy, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Turn {
+    pub yaw: Option<Angle>,
+    pub pitch: Option<Angle>,
+    pub roll: Option<Angle>,
+}
+
+/// Where something stands: the keys `position`, `rotation`, `scale` of a table.
+pub(super) struct Placement {
+    pub position: [Coordinate; 3],
+    pub rotation: Option<Turn>,
+    pub scale: Option<Scale>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Model {
+    #[serde(default)]
+    pub name: String,
+    pub file: Spanned<String>,
+    #[serde(default)]
+    pub position: [Coordinate; 3],
+    pub rotation: Option<Turn>,
+    pub scale: Option<Scale>,
+    pub animations: Option<Vec<Spanned<String>>>,
+    #[serde(default)]
+    pub touchable: bool,
+    #[serde(default)]
+    pub touchables: Vec<Spanned<String>>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Kind {
+    Box,
+    Rectangle,
+    Sphere,
+    Cylinder,
+    Lathe,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Shape {
+    #[serde(default)]
+    pub name: String,
+    pub kind: Kind,
+    pub size: Option<Vec<Coordinate>>,
+    pub radius: Option<Coordinate>,
+    pub height: Option<Coordinate>,
+    pub profile: Option<Vec<[Coordinate; 2]>>,
+    pub segments: Option<u32>,
+    pub material: Option<Spanned<String>>,
+    #[serde(default)]
+    pub position: [Coordinate; 3],
+    pub rotation: Option<Turn>,
+    pub scale: Option<Scale>,
+    #[serde(default)]
+    pub touchable: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Material {
+    pub color: Option<Color>,
+    pub texture: Option<Spanned<String>>,
+    pub normal_texture: Option<Spanned<String>>,
+    pub normal_scale: Option<f32>,
+    pub roughness_texture: Option<Spanned<String>>,
+    pub metallic: Option<f32>,
+    pub roughness: Option<f32>,
+    pub opacity: Option<f32>,
+    pub emissive: Option<Color>,
+    /// The texture repeats after this length.
+    pub tile: Option<Coordinate>,
+    #[serde(default)]
+    pub unlit: bool,
+    #[serde(default)]
+    pub double_sided: bool,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum LightKind {
+    Directional,
+    Point,
+    Spot,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Light {
+    #[serde(default)]
+    pub name: String,
+    pub kind: LightKind,
+    pub color: Option<Color>,
+    pub intensity: f64,
+    pub position: Option<[Coordinate; 3]>,
+    pub target: Option<[Coordinate; 3]>,
+    pub range: Option<Coordinate>,
+    pub inner: Option<Angle>,
+    pub outer: Option<Angle>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Label {
+    #[serde(default)]
+    pub name: String,
+    pub text: String,
+    pub cap_height: Length,
+    pub color: Option<Color>,
+    #[serde(default)]
+    pub billboard: bool,
+    #[serde(default)]
+    pub position: [Coordinate; 3],
+    pub rotation: Option<Turn>,
+}
+
+impl Model {
+    pub fn placement(&self) -> Placement {
+        Placement { position: self.position, rotation: self.rotation, scale: self.scale }
+    }
+}
+
+impl Shape {
+    pub fn placement(&self) -> Placement {
+        Placement { position: self.position, rotation: self.rotation, scale: self.scale }
+    }
+}
+
+impl Label {
+    pub fn placement(&self) -> Placement {
+        Placement { position: self.position, rotation: self.rotation, scale: None }
+    }
+}
+
+/// A length: a number in metres, or a string with its unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Coordinate(pub f64);
+
+impl<'de> Deserialize<'de> for Coordinate {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Expected;
+        impl Visitor<'_> for Expected {
+            type Value = Coordinate;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a length: a number in metres, or a string with its unit such as \"1.5 m\"")
+            }
+            fn visit_f64<E: serde::de::Error>(self, metres: f64) -> Result<Coordinate, E> {
+                if metres.is_finite() {
+                    Ok(Coordinate(metres))
+                } else {
+                    Err(E::custom("expected a finite length"))
+                }
+            }
+            fn visit_i64<E: serde::de::Error>(self, metres: i64) -> Result<Coordinate, E> {
+                Ok(Coordinate(metres as f64))
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Coordinate, E> {
+                Length::deserialize(serde::de::value::StrDeserializer::new(text))
+                    .map(|length| Coordinate(length.metres()))
+            }
+        }
+        deserializer.deserialize_any(Expected)
+    }
+}
+
+/// One factor, or three.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Scale(pub [f64; 3]);
+
+impl<'de> Deserialize<'de> for Scale {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Expected;
+        impl<'de> Visitor<'de> for Expected {
+            type Value = Scale;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a factor, or three of them")
+            }
+            fn visit_f64<E>(self, factor: f64) -> Result<Scale, E> {
+                Ok(Scale([factor; 3]))
+            }
+            fn visit_i64<E>(self, factor: i64) -> Result<Scale, E> {
+                Ok(Scale([factor as f64; 3]))
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Scale, A::Error> {
+                <[f64; 3]>::deserialize(serde::de::value::SeqAccessDeserializer::new(seq)).map(Scale)
+            }
+        }
+        deserializer.deserialize_any(Expected)
+    }
+}
+
+/// Linear RGB: `"#rrggbb"` is decoded from sRGB, `[r, g, b]` is taken as it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Color(pub [f32; 3]);
+
+impl<'de> Deserialize<'de> for Color {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Expected;
+        impl<'de> Visitor<'de> for Expected {
+            type Value = Color;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a colour: \"#rrggbb\" (sRGB) or [r, g, b] (linear)")
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Color, E> {
+                let digits = text.strip_prefix('#').filter(|d| d.len() == 6 && d.is_ascii());
+                let value = digits.and_then(|digits| u32::from_str_radix(digits, 16).ok());
+                let value = value.ok_or_else(|| {
+                    E::custom(format!("expected a colour such as \"#ffcc88\", found {text:?}"))
+                })?;
+                let channel =
+                    |shift: u32| crate::lines::linear_from_srgb((value >> shift & 0xFF) as f32 / 255.0);
+                Ok(Color([channel(16), channel(8), channel(0)]))
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Color, A::Error> {
+                let color = <[f32; 3]>::deserialize(serde::de::value::SeqAccessDeserializer::new(seq))?;
+                if color.iter().all(|c| (0.0..=1e9).contains(c)) {
+                    Ok(Color(color))
+                } else {
+                    Err(A::Error::custom(format!("expected a colour from 0 to 1e9, found {color:?}")))
+                }
+            }
+        }
+        deserializer.deserialize_any(Expected)
+    }
+}
