@@ -6,6 +6,7 @@ use std::process::Command;
 
 use serde::Serialize;
 use vergence_gpu as gpu;
+use vergence_xr as xr;
 
 use crate::failure::Failure;
 
@@ -152,14 +153,27 @@ fn openxr() -> Finding {
     if let Some(path) = &manifest {
         finding.found.push(format!("runtime manifest {}", path.display()));
     }
-    if manifest.is_some() {
-        return finding;
+    match xr::Connection::open(xr::Way::Loader, "vergence doctor", &[]) {
+        Ok(connection) => {
+            let about = connection.description();
+            finding.found.push(format!("{} on {}, OpenXR {}", about.headset, about.runtime, about.api));
+            for (view, size) in connection.views().iter().enumerate() {
+                let (width, height) = size.recommended;
+                finding.found.push(format!("view {view}: {width} × {height} px recommended"));
+            }
+            finding
+        }
+        Err(error @ xr::Error::NoLoader { .. }) => finding.lacks(error.to_string(), "tools/setup run"),
+        Err(error) => {
+            let mend = if manifest.is_some() {
+                "start the headset's software (Monado: monado-service), then vergence doctor again"
+            } else {
+                "install a runtime (SteamVR, WiVRn, or Debian 13: apt-get install monado-service libopenxr1-monado); \
+                 a Monado without a headset, for tests: tools/monado run -- COMMAND"
+            };
+            finding.lacks(error.to_string(), mend)
+        }
     }
-    finding.lacks(
-        "no runtime is installed",
-        "install a runtime (SteamVR, WiVRn, or Debian 13: apt-get install monado-service libopenxr1-monado); \
-         a Monado without a headset, for tests: tools/monado run -- COMMAND",
-    )
 }
 
 fn simulated() -> Finding {
