@@ -201,7 +201,6 @@ pub struct Device {
     pub(crate) memory: Mutex<ManuallyDrop<Allocator>>,
     pub(crate) pipeline_cache: vk::PipelineCache,
     pub(crate) counters: Counters,
-    #[allow(dead_code, reason = "for surfaces")]
     pub(crate) swapchain: Option<ash::khr::swapchain::Device>,
     pub(crate) anisotropy: bool,
     names: Option<ash::ext::debug_utils::Device>,

@@ -14,6 +14,7 @@ mod image;
 mod instance;
 mod pipeline;
 mod select;
+mod surface;
 mod sync;
 mod upload;
 
@@ -36,5 +37,6 @@ pub use pipeline::{
     PipelineLayout, ShaderModule, Stage, VertexBuffer,
 };
 pub use select::DEVICE_VARIABLE;
+pub use surface::{Mirror, Presentable, Shown};
 pub use sync::{Timeline, Use};
 pub use upload::{ReadBack, Upload};

@@ -1,0 +1,41 @@
+//! The window itself, shared between the event loop and a surface.
+
+use raw_window_handle::{DisplayHandle, HandleError, HasDisplayHandle, HasWindowHandle, WindowHandle};
+use winit::dpi::PhysicalSize;
+
+/// A window that a surface can be made on; it is closed when the last holder lets go.
+pub struct Handle {
+    window: winit::window::Window,
+}
+
+impl Handle {
+    pub(crate) fn new(window: winit::window::Window) -> Self {
+        Self { window }
+    }
+
+    /// Inner size in physical pixels.
+    pub fn size(&self) -> (u32, u32) {
+        let size = self.window.inner_size();
+        (size.width, size.height)
+    }
+
+    pub(crate) fn set_title(&self, title: &str) {
+        self.window.set_title(title);
+    }
+
+    pub(crate) fn request_size(&self, size: (u32, u32)) {
+        let _ = self.window.request_inner_size(PhysicalSize::new(size.0.max(1), size.1.max(1)));
+    }
+}
+
+impl HasWindowHandle for Handle {
+    fn window_handle(&self) -> Result<WindowHandle<'_>, HandleError> {
+        self.window.window_handle()
+    }
+}
+
+impl HasDisplayHandle for Handle {
+    fn display_handle(&self) -> Result<DisplayHandle<'_>, HandleError> {
+        self.window.display_handle()
+    }
+}

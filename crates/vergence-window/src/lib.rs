@@ -1,0 +1,172 @@
+#![doc = include_str!("../README.md")]
+#![warn(missing_docs)]
+
+mod event;
+mod handle;
+
+use std::cell::RefCell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::Duration;
+
+use raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
+use winit::dpi::PhysicalSize;
+use winit::event_loop::{EventLoop, EventLoopBuilder};
+use winit::platform::pump_events::{EventLoopExtPumpEvents, PumpStatus};
+
+pub use event::{Event, PointerButton};
+pub use handle::Handle;
+
+/// Why there is no window.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// There is no display to open a window on.
+    #[error("no display to open a window on ({detail}); set DISPLAY, or run without a window")]
+    NoDisplay {
+        /// What the window system said.
+        detail: String,
+    },
+    /// A library of the window system is not installed.
+    #[error("the library {name} is missing; install it with `apt-get install {package}`")]
+    MissingLibrary {
+        /// File name of the library.
+        name: &'static str,
+        /// Debian's package with it.
+        package: &'static str,
+    },
+    /// Another thread has this process's only event loop.
+    #[error("expected windows of one thread only, found another thread that has had one")]
+    OtherThread,
+    /// The window system refused.
+    #[error("the window could not be opened: {detail}")]
+    Refused {
+        /// What it said.
+        detail: String,
+    },
+}
+
+thread_local! {
+    /// The event loop between two windows: a process can make only one.
+    static IDLE_LOOP: RefCell<Option<EventLoop<()>>> = const { RefCell::new(None) };
+}
+
+/// A window, open until it is dropped.
+pub struct Window {
+    event_loop: Option<EventLoop<()>>,
+    handle: Arc<Handle>,
+    state: event::State,
+}
+
+impl Window {
+    /// Opens a window with an inner size in physical pixels (the window manager may choose another one: see [`Window::size`]).
+    ///
+    /// # Errors
+    ///
+    /// No display, a missing library, a thread other than that of earlier windows, or a refusal by the window system.
+    pub fn open(title: &str, size: (u32, u32)) -> Result<Self, Error> {
+        // The window system's library panics where a shared library is missing; it is asked first, and caught all the same.
+        let opened = catch_unwind(AssertUnwindSafe(|| Self::open_or_panic(title, size)));
+        opened.unwrap_or_else(|panic| Err(Error::Refused { detail: panic_text(panic.as_ref()) }))
+    }
+
+    fn open_or_panic(title: &str, size: (u32, u32)) -> Result<Self, Error> {
+        let mut event_loop = match IDLE_LOOP.take() {
+            Some(event_loop) => event_loop,
+            None => new_loop()?,
+        };
+        let attributes = winit::window::Window::default_attributes()
+            .with_title(title)
+            .with_inner_size(PhysicalSize::new(size.0.max(1), size.1.max(1)));
+        let mut opener = event::Opener { attributes, result: None };
+        event_loop.pump_app_events(Some(Duration::ZERO), &mut opener);
+        let window = match opener.result {
+            Some(Ok(window)) => window,
+            other => {
+                IDLE_LOOP.set(Some(event_loop));
+                let detail = match other {
+                    Some(Err(error)) => error.to_string(),
+                    _ => "the event loop did not start".into(),
+                };
+                return Err(Error::Refused { detail });
+            }
+        };
+        let state = event::State::new(window.id());
+        Ok(Self { event_loop: Some(event_loop), handle: Arc::new(Handle::new(window)), state })
+    }
+
+    /// Passes on what happened since the last call, oldest first; does not wait.
+    pub fn poll(&mut self, mut tell: impl FnMut(Event)) {
+        self.pump(Duration::ZERO, &mut tell);
+    }
+
+    /// As [`Window::poll`], but waits up to `longest` for something to happen.
+    pub fn wait(&mut self, longest: Duration, mut tell: impl FnMut(Event)) {
+        self.pump(longest, &mut tell);
+    }
+
+    fn pump(&mut self, longest: Duration, tell: &mut dyn FnMut(Event)) {
+        if let Some(event_loop) = &mut self.event_loop {
+            let mut listener = event::Listener { state: &mut self.state, tell };
+            if let PumpStatus::Exit(_) = event_loop.pump_app_events(Some(longest), &mut listener) {
+                (listener.tell)(Event::CloseRequested);
+            }
+        }
+    }
+
+    /// Inner size in physical pixels.
+    pub fn size(&self) -> (u32, u32) {
+        self.handle.size()
+    }
+
+    /// Changes the title.
+    pub fn set_title(&self, title: &str) {
+        self.handle.set_title(title);
+    }
+
+    /// Asks for another inner size, in physical pixels; an [`Event::Resized`] tells what came of it.
+    pub fn request_size(&self, size: (u32, u32)) {
+        self.handle.request_size(size);
+    }
+
+    /// The window for a surface. The window stays on screen while somebody holds it.
+    pub fn handle(&self) -> Arc<Handle> {
+        Arc::clone(&self.handle)
+    }
+
+    /// The display for a Vulkan instance; `None` if the window system has gone away.
+    pub fn display(&self) -> Option<RawDisplayHandle> {
+        self.handle.display_handle().ok().map(|display| display.as_raw())
+    }
+}
+
+impl Drop for Window {
+    fn drop(&mut self) {
+        // Not while the thread itself ends: its storage is gone then.
+        if let Some(event_loop) = self.event_loop.take() {
+            let _ = IDLE_LOOP.try_with(|idle| idle.replace(Some(event_loop)));
+        }
+    }
+}
+
+fn new_loop() -> Result<EventLoop<()>, Error> {
+    #[cfg(target_os = "linux")]
+    if xkbcommon_dl::x11::xkbcommon_x11_option().is_none() {
+        return Err(Error::MissingLibrary { name: "libxkbcommon-x11.so.0", package: "libxkbcommon-x11-0" });
+    }
+    let mut builder: EventLoopBuilder<()> = EventLoop::builder();
+    #[cfg(target_os = "linux")]
+    {
+        use winit::platform::x11::EventLoopBuilderExtX11;
+        builder.with_any_thread(true);
+    }
+    builder.build().map_err(|error| match error {
+        winit::error::EventLoopError::RecreationAttempt => Error::OtherThread,
+        error => Error::NoDisplay { detail: error.to_string() },
+    })
+}
+
+fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("the window system panicked").into()
+}
