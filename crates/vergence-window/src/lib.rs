@@ -6,7 +6,7 @@ mod handle;
 
 use std::cell::RefCell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
@@ -160,9 +160,13 @@ fn new_loop() -> Result<EventLoop<()>, Error> {
         use winit::platform::x11::EventLoopBuilderExtX11;
         builder.with_any_thread(true);
     }
+    // The library refuses a second attempt even after a failed first one: the first answer stays the answer.
+    static FAILED: OnceLock<Error> = OnceLock::new();
     builder.build().map_err(|error| match error {
-        winit::error::EventLoopError::RecreationAttempt => Error::OtherThread,
-        error => Error::NoDisplay { detail: error.to_string() },
+        winit::error::EventLoopError::RecreationAttempt => {
+            FAILED.get().cloned().unwrap_or(Error::OtherThread)
+        }
+        error => FAILED.get_or_init(|| Error::NoDisplay { detail: error.to_string() }).clone(),
     })
 }
 
