@@ -14,6 +14,7 @@ pub mod model;
 mod mtl;
 mod needs;
 mod obj;
+pub mod pick;
 mod picture;
 mod ply;
 mod polygon;
