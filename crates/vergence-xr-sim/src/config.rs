@@ -1,0 +1,220 @@
+//! What an embedding program says about the headset before it creates an instance, and what it can do meanwhile.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use vergence_geom::{Rigid, View};
+use vergence_time::{Span, Timestamp};
+
+use crate::headset::Profile;
+use crate::motion::{Hand, PoseProvider, Still};
+
+/// How time passes for the session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ClockMode {
+    /// Frames are exactly one display period apart, however long they take: faster than real time where the
+    /// application is, without a dropped frame where it is slower. Nothing sleeps.
+    #[default]
+    Virtual,
+    /// `xrWaitFrame` waits for the wall clock; a late application skips periods.
+    RealTime,
+}
+
+/// The simulated headset, its user and its clock.
+pub struct Config {
+    /// What headset it is.
+    pub profile: Profile,
+    /// What moves it.
+    pub motion: Box<dyn PoseProvider>,
+    /// How time passes.
+    pub clock: ClockMode,
+    /// After so many frames with `shouldRender` the runtime asks the application to end; `None`: never.
+    pub frames: Option<u64>,
+    /// Who gets the composed pictures; `None`: nothing is composed.
+    pub capture: Option<Capture>,
+    /// Whether applications are asked to render at all (`shouldRender`); `false` runs everything but the pictures.
+    pub render: bool,
+    /// A hand on the headset, for whoever embeds the runtime.
+    pub control: Control,
+}
+
+impl Default for Config {
+    /// The headset `default`, standing still, on a virtual clock, without end, without pictures.
+    fn default() -> Self {
+        Self {
+            profile: Profile::default(),
+            motion: Box::new(Still::default()),
+            clock: ClockMode::Virtual,
+            frames: None,
+            capture: None,
+            render: true,
+            control: Control::default(),
+        }
+    }
+}
+
+thread_local! {
+    static CONFIGURED: RefCell<Option<Arc<Config>>> = const { RefCell::new(None) };
+}
+
+/// The runtime, as the program that embeds it sees it.
+#[derive(Debug)]
+pub struct Runtime;
+
+impl Runtime {
+    /// Sets what every OpenXR instance is that *this thread* creates from now on. (OpenXR has no argument for it;
+    /// per thread, so that sessions in several threads do not meet.)
+    pub fn configure(config: Config) {
+        CONFIGURED.set(Some(Arc::new(config)));
+    }
+
+    pub(crate) fn configured() -> Arc<Config> {
+        CONFIGURED.with_borrow_mut(|configured| configured.get_or_insert_with(Default::default).clone())
+    }
+}
+
+/// Receives each composed stereo picture, on the thread that called `xrEndFrame`.
+#[derive(Clone)]
+pub struct Capture(Arc<dyn Fn(ComposedFrame) + Send + Sync>);
+
+impl Capture {
+    /// Hands every frame to `receive`; the application's `xrEndFrame` returns when that does.
+    pub fn new(receive: impl Fn(ComposedFrame) + Send + Sync + 'static) -> Self {
+        Self(Arc::new(receive))
+    }
+
+    /// Queues every frame. The queue is not bounded: for tests and short runs.
+    pub fn channel() -> (Self, Receiver<ComposedFrame>) {
+        let (send, receive) = channel();
+        // A receiver that was dropped wants no more pictures.
+        let send = Mutex::new(send);
+        let capture = Self::new(move |frame| {
+            let _ = send.lock().unwrap_or_else(PoisonError::into_inner).send(frame);
+        });
+        (capture, receive)
+    }
+
+    pub(crate) fn give(&self, frame: ComposedFrame) {
+        (self.0)(frame);
+    }
+}
+
+/// What the user saw in one frame.
+#[derive(Clone, Debug)]
+pub struct ComposedFrame {
+    /// Counted from 0, over the frames that were composed.
+    pub number: u64,
+    /// When it was on the display, session time.
+    pub display_time: Timestamp,
+    /// Pixels of one eye: width, height.
+    pub size: (u32, u32),
+    /// Where the head truly was at the display time: head coordinates to stage coordinates.
+    pub stage_from_head: Rigid,
+    /// The same in the space LOCAL: head coordinates to local coordinates.
+    pub local_from_head: Rigid,
+    /// The left eye, then the right one.
+    pub eyes: [ComposedEye; 2],
+}
+
+/// What one eye saw.
+#[derive(Clone, Debug)]
+pub struct ComposedEye {
+    /// Where the eye truly was, in the space LOCAL, and what it sees.
+    pub view_in_local: View,
+    /// RGBA, 8 bits each, sRGB encoded, rows from the top.
+    pub rgba: Vec<u8>,
+}
+
+/// Whether somebody wears the headset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Presence {
+    /// The application has the user's attention.
+    #[default]
+    Focused,
+    /// The application is seen, but a menu of the system has the input.
+    Visible,
+    /// The headset is off the head: the session stops, and is ready again when it is put on.
+    Away,
+}
+
+/// A vibration that an application asked for, or its end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Haptic {
+    /// When `xrApplyHapticFeedback` or `xrStopHapticFeedback` was called, session time.
+    pub at: Timestamp,
+    /// Which controller.
+    pub hand: Hand,
+    /// Nanoseconds; `None` for the shortest that there is.
+    pub duration: Option<Span>,
+    /// In hertz; 0 where the runtime may choose.
+    pub frequency_hz: f32,
+    /// 0 (which ends a vibration) … 1.
+    pub amplitude: f32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Command {
+    Recentre,
+    Exit,
+    LoseSession,
+    LoseInstance,
+    Presence(Presence),
+}
+
+#[derive(Debug, Default)]
+struct Desk {
+    commands: VecDeque<Command>,
+    haptics: Vec<Haptic>,
+}
+
+/// A hand on the simulated headset: what a person, the system or a cable can do to a real one. Clones are the same
+/// hand. Commands take effect at the next `xrPollEvent` or `xrWaitFrame`.
+#[derive(Clone, Debug, Default)]
+pub struct Control(Arc<Mutex<Desk>>);
+
+impl Control {
+    fn push(&self, command: Command) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).commands.push_back(command);
+    }
+
+    pub(crate) fn take(&self) -> Option<Command> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).commands.pop_front()
+    }
+
+    pub(crate) fn record(&self, haptic: Haptic) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).haptics.push(haptic);
+    }
+
+    /// Makes where the head is now, and where it looks, the new origin of LOCAL.
+    pub fn recentre(&self) {
+        self.push(Command::Recentre);
+    }
+
+    /// The system asks the application to end.
+    pub fn ask_to_exit(&self) {
+        self.push(Command::Exit);
+    }
+
+    /// Every call with the session fails from now on with `XR_ERROR_SESSION_LOST`.
+    pub fn lose_session(&self) {
+        self.push(Command::LoseSession);
+    }
+
+    /// Announces that the instance will be lost; once the application has polled that event, every call with the instance
+    /// fails with `XR_ERROR_INSTANCE_LOST`.
+    pub fn lose_instance(&self) {
+        self.push(Command::LoseInstance);
+    }
+
+    /// The headset is put on, covered by a menu, or taken off.
+    pub fn set_presence(&self, presence: Presence) {
+        self.push(Command::Presence(presence));
+    }
+
+    /// Every vibration so far, in the order of the calls.
+    pub fn haptics(&self) -> Vec<Haptic> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).haptics.clone()
+    }
+}

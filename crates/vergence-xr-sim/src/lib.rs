@@ -1,0 +1,42 @@
+#![doc = include_str!("../README.md")]
+// An OpenXR runtime is a set of C functions over pointers that an application hands in, and Vulkan handles.
+#![allow(unsafe_code)]
+#![warn(missing_docs)]
+
+mod action;
+mod binding;
+mod clock;
+mod compose;
+mod config;
+mod entry;
+mod error;
+mod event;
+mod extension;
+mod ffi;
+mod frame;
+mod graphics;
+mod handle;
+pub mod headset;
+mod input;
+mod instance;
+mod interaction;
+mod layer;
+pub mod motion;
+mod path;
+mod pose;
+mod refresh;
+mod session;
+mod source;
+mod space;
+mod swapchain;
+mod system;
+mod view;
+mod vulkan;
+
+pub use config::{
+    Capture, ClockMode, ComposedEye, ComposedFrame, Config, Control, Haptic, Presence, Runtime,
+};
+pub use entry::get_instance_proc_addr;
+pub use error::Error;
+pub use headset::Profile;
+pub use motion::{Controller, Hand, Motion, PoseProvider, Still, Tracked};

@@ -1,0 +1,174 @@
+//! What moves the simulated headset: pose providers, pure functions of time.
+
+mod file;
+mod still;
+mod trajectory;
+mod tum;
+
+use vergence_geom::Rigid;
+use vergence_time::Timestamp;
+
+pub use file::{BUILT_IN_MOTIONS, Motion};
+pub use still::Still;
+pub use trajectory::{AtEnd, Gaps, Sample, Trajectory};
+pub use tum::{parse_tum, read_tum};
+
+/// Which hand holds a controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Hand {
+    /// The left one: `/user/hand/left`.
+    Left,
+    /// The right one: `/user/hand/right`.
+    Right,
+}
+
+/// Where a tracked body is, as far as the tracking knows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Tracked {
+    /// Tracked: takes body coordinates to stage coordinates (floor level, y up, metres).
+    Seen(Rigid),
+    /// Not tracked now; the last that is known.
+    Held(Rigid),
+    /// Nothing is known.
+    Lost,
+}
+
+impl Tracked {
+    /// The pose, tracked or held.
+    pub fn pose(&self) -> Option<Rigid> {
+        match *self {
+            Self::Seen(pose) | Self::Held(pose) => Some(pose),
+            Self::Lost => None,
+        }
+    }
+
+    /// The same knowledge about another body that is fixed to this one.
+    pub fn map(self, change: impl FnOnce(Rigid) -> Rigid) -> Self {
+        match self {
+            Self::Seen(pose) => Self::Seen(change(pose)),
+            Self::Held(pose) => Self::Held(change(pose)),
+            Self::Lost => Self::Lost,
+        }
+    }
+}
+
+/// One controller at one instant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Controller {
+    /// Switched on and connected; otherwise its actions are inactive.
+    pub connected: bool,
+    /// The grip: palm centre, +x out of the back of the left hand or the palm of the right one, −z along the
+    /// closed fingers' tube (the "grip" pose of OpenXR).
+    pub grip: Tracked,
+    /// The aim: −z points (the "aim" pose of OpenXR).
+    pub aim: Tracked,
+    /// How far the trigger is pulled, 0…1.
+    pub trigger: f32,
+    /// How far the grip is squeezed, 0…1.
+    pub squeeze: f32,
+    /// Thumbstick (or trackpad), right and up positive, each −1…1.
+    pub stick: [f32; 2],
+    /// The thumbstick is pressed.
+    pub stick_click: bool,
+    /// The lower face button (X, A) is pressed.
+    pub primary: bool,
+    /// The upper face button (Y, B) is pressed.
+    pub secondary: bool,
+    /// The menu button is pressed.
+    pub menu: bool,
+    /// Fingers touch the trigger, the thumbstick, the lower and the upper face button.
+    pub touches: [bool; 4],
+}
+
+impl Controller {
+    /// A controller that is not there.
+    pub fn absent() -> Self {
+        Self { connected: false, ..Self::idle(Tracked::Lost, Tracked::Lost) }
+    }
+
+    /// A connected controller at these poses, on which nothing is pressed.
+    pub fn idle(grip: Tracked, aim: Tracked) -> Self {
+        Self {
+            connected: true,
+            grip,
+            aim,
+            trigger: 0.0,
+            squeeze: 0.0,
+            stick: [0.0; 2],
+            stick_click: false,
+            primary: false,
+            secondary: false,
+            menu: false,
+            touches: [false; 4],
+        }
+    }
+}
+
+/// What moves the simulated headset and its controllers.
+///
+/// Pure in time: the same instant always gives the same answer, whoever asks and in whatever order. Instants are
+/// counted from the first `xrBeginSession` (0); earlier ones are negative and legal.
+pub trait PoseProvider: Send + Sync {
+    /// Where the head is: the point between the eyes, x right, y up, −z where the face looks.
+    fn head(&self, at: Timestamp) -> Tracked;
+
+    /// What a hand holds.
+    fn controller(&self, hand: Hand, at: Timestamp) -> Controller;
+
+    /// Whether the headset is worn; a session is only visible while it is.
+    fn worn(&self, _at: Timestamp) -> bool {
+        true
+    }
+
+    /// When the motion is over and the runtime asks the application to end; `None` for a motion without end.
+    fn end(&self) -> Option<Timestamp> {
+        None
+    }
+}
+
+/// Controllers held in front of the body: a hand's width beside and below the head and at arm's length, turned
+/// with the head about the vertical only.
+pub(crate) fn held_in_front(stage_from_head: &Tracked, hand: Hand) -> Controller {
+    let side = match hand {
+        Hand::Left => -1.0,
+        Hand::Right => 1.0,
+    };
+    let stage_from_grip = stage_from_head.map(|stage_from_head| {
+        let stage_from_body = Rigid::from_parts(stage_from_head.translation, yaw_of(&stage_from_head));
+        stage_from_body * Rigid::translation(0.2 * side, -0.35, -0.4)
+    });
+    // On most controllers one points 40° below the tube that the hand closes around.
+    let grip_from_aim = Rigid::rotation(nalgebra::Vector3::new(-40f64.to_radians(), 0.0, 0.0));
+    Controller::idle(stage_from_grip, stage_from_grip.map(|stage_from_grip| stage_from_grip * grip_from_aim))
+}
+
+/// The part of a rotation that turns about the vertical: where the −z axis points, seen from above. Where it points
+/// straight up or down, where the top of the head does.
+pub(crate) fn yaw_of(pose: &Rigid) -> nalgebra::UnitQuaternion<f64> {
+    let forward = pose.rotation * -nalgebra::Vector3::z();
+    let up = pose.rotation * nalgebra::Vector3::y();
+    let ahead = if forward.x.hypot(forward.z) > 1e-6 { forward } else { up * -forward.y.signum() };
+    nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::y_axis(), (-ahead.x).atan2(-ahead.z))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn yaw_is_what_is_left_when_pitch_and_roll_are_taken_away() {
+        for yaw in [-3.0, -1.0, 0.0, 0.5, 3.1] {
+            for (pitch, roll) in [(0.0, 0.0), (0.7, -0.4), (-1.5, 2.0)] {
+                let turn = |axis: nalgebra::Vector3<f64>, angle: f64| Rigid::rotation(axis * angle);
+                let pose = turn(nalgebra::Vector3::y(), yaw)
+                    * turn(nalgebra::Vector3::x(), pitch)
+                    * turn(nalgebra::Vector3::z(), roll);
+                let found = yaw_of(&pose);
+                let truth = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::y_axis(), yaw);
+                assert!(found.angle_to(&truth) < 1e-7, "{yaw} {pitch} {roll}");
+            }
+        }
+        let straight_down = Rigid::rotation(nalgebra::Vector3::x() * -std::f64::consts::FRAC_PI_2);
+        assert!(yaw_of(&straight_down).angle() < 1e-7);
+    }
+}
