@@ -115,6 +115,11 @@ impl Buffer {
         self.usage
     }
 
+    /// The device that it lives on.
+    pub fn device(&self) -> &Arc<Device> {
+        &self.device
+    }
+
     /// Where it lives.
     pub fn memory(&self) -> Memory {
         self.memory

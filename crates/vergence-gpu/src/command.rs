@@ -9,18 +9,66 @@ use std::sync::atomic::Ordering;
 
 use ash::vk;
 
+use crate::buffer::Buffer;
+use crate::descriptor::DescriptorSet;
 use crate::device::{Counters, Device};
 use crate::driver_clock::blocking;
 use crate::encoder::Encoder;
 use crate::error::{At, Error};
+use crate::image::{Image, ImageView};
+use crate::pipeline::{ComputePipeline, GraphicsPipeline};
 use crate::sync::Timeline;
 
 /// Most semaphores of each kind in one submission.
 const MAX_SEMAPHORES: usize = 8;
 
 /// Anything that a command buffer keeps alive.
-pub(crate) trait Kept: Send + Sync {}
-impl<T: Send + Sync> Kept for T {}
+pub(crate) trait Kept: Send + Sync {
+    /// The device that it lives on.
+    fn home(&self) -> &Device;
+}
+
+impl Kept for Buffer {
+    fn home(&self) -> &Device {
+        self.device()
+    }
+}
+
+impl Kept for Image {
+    fn home(&self) -> &Device {
+        self.device()
+    }
+}
+
+impl Kept for ImageView {
+    fn home(&self) -> &Device {
+        self.image().device()
+    }
+}
+
+impl Kept for DescriptorSet {
+    fn home(&self) -> &Device {
+        self.layout().device()
+    }
+}
+
+impl Kept for GraphicsPipeline {
+    fn home(&self) -> &Device {
+        self.layout().device()
+    }
+}
+
+impl Kept for ComputePipeline {
+    fn home(&self) -> &Device {
+        self.layout().device()
+    }
+}
+
+impl Kept for Timeline {
+    fn home(&self) -> &Device {
+        self.device()
+    }
+}
 
 /// How long a pass took on the device.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,6 +95,8 @@ pub struct CommandBuffer {
     pub(crate) device: Arc<Device>,
     pub(crate) raw: vk::CommandBuffer,
     pub(crate) kept: Vec<Arc<dyn Kept>>,
+    /// Timelines of the last submission.
+    timelines: Vec<Arc<Timeline>>,
     pub(crate) timer: Option<Timer>,
     pub(crate) executable: bool,
     pool: vk::CommandPool,
@@ -89,6 +139,7 @@ impl CommandBuffer {
             device: Arc::clone(device),
             raw: vk::CommandBuffer::null(),
             kept: Vec::new(),
+            timelines: Vec::new(),
             timer: None,
             executable: false,
             pool,
@@ -236,18 +287,35 @@ impl Device {
                 format_args!("{} and {}", waits.len(), signals.len()),
             ));
         }
+        // Timelines of the last submission may be let go only when it is complete.
+        commands.wait()?;
+        commands.timelines.clear();
         for (info, wait) in wait_infos.iter_mut().zip(waits) {
-            commands.kept.push(Arc::clone(wait.timeline) as Arc<dyn Kept>);
+            self.check_home(wait.timeline.home())?;
+            commands.timelines.push(Arc::clone(wait.timeline));
             *info = info.semaphore(wait.timeline.raw).value(wait.value).stage_mask(wait.stages);
         }
         for (info, signal) in signal_infos.iter_mut().zip(signals) {
-            commands.kept.push(Arc::clone(signal.timeline) as Arc<dyn Kept>);
+            self.check_home(signal.timeline.home())?;
+            commands.timelines.push(Arc::clone(signal.timeline));
             *info = info
                 .semaphore(signal.timeline.raw)
                 .value(signal.value)
                 .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS);
         }
         self.submit_raw(commands, &wait_infos[..waits.len()], &mut signal_infos[..=signals.len()])
+    }
+
+    /// Refuses what lives on another device.
+    pub(crate) fn check_home(&self, home: &Device) -> Result<(), Error> {
+        if std::ptr::eq(self, home) {
+            return Ok(());
+        }
+        Err(Error::range(
+            "device of an object",
+            &self.limits().name,
+            format_args!("another one ({})", home.limits().name),
+        ))
     }
 
     /// Submits with raw semaphores; the last place of `signals` is filled with the device's own timeline.
@@ -263,6 +331,7 @@ impl Device {
                 detail: "submitted without being finished",
             });
         }
+        self.check_home(&commands.device)?;
         commands.wait()?;
         let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands.raw)];
         let lock = self.lock_queue();

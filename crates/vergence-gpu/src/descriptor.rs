@@ -87,6 +87,11 @@ impl SetLayout {
         &self.bindings
     }
 
+    /// The device that it lives on.
+    pub fn device(&self) -> &Arc<Device> {
+        &self.device
+    }
+
     /// How many dynamic offsets its sets are bound with.
     pub(crate) fn dynamic(&self) -> u32 {
         self.dynamic
@@ -198,6 +203,13 @@ impl DescriptorSet {
         }
         for &(binding, element, what) in bound {
             check(layout, binding, element, what)?;
+        }
+        for (_, _, what) in bound {
+            layout.device.check_home(match what {
+                Bound::Buffer(b) | Bound::BufferRange(b, ..) => b.device(),
+                Bound::Sampled(v) | Bound::SampledDepth(v) | Bound::Storage(v) => v.image().device(),
+                Bound::Sampler(s) => s.device(),
+            })?;
         }
         let (raw, pool) = layout.allocate()?;
         let buffers: Vec<_> = bound

@@ -1,15 +1,23 @@
 //! How much time this thread spends inside the driver, so that our own share of a frame can be told apart.
 //!
-//! Off by default: a call then costs one relaxed load. Calls that only record are timed by the monotonic clock (about 50 ns
-//! each); calls that may block (submit, wait, acquire, present) by the CPU time of the thread, so that waiting counts as nothing.
+//! Off by default: a call then costs one relaxed load. Calls that only record are timed by the monotonic clock; calls that may
+//! block (submit, wait, acquire, present) by the CPU time of the thread, so that waiting counts as nothing. What the clock itself
+//! costs is measured when it is switched on and counted with the driver's time, so that it is not taken for ours.
 
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
 use rustix::time::{ClockId, clock_gettime};
 
 static ON: AtomicBool = AtomicBool::new(false);
+/// What the clock costs around a call beyond what it measures, in nanoseconds: of quick and of blocking calls.
+static COST_NS: [AtomicU64; 2] = [AtomicU64::new(0), AtomicU64::new(0)];
+const QUICK: usize = 0;
+const BLOCKING: usize = 1;
+/// The cost is the smallest mean of so many batches of so many empty calls: interruptions only add.
+const BATCHES: u32 = 20;
+const CALLS_PER_BATCH: u32 = 50;
 
 thread_local! {
     static SPENT_NS: Cell<u64> = const { Cell::new(0) };
@@ -19,7 +27,7 @@ thread_local! {
 /// What one thread has spent inside the driver since it started, while the clock was on.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct DriverTime {
-    /// CPU time inside driver calls, in nanoseconds.
+    /// CPU time inside driver calls and of the clock around them, in nanoseconds.
     pub ns: u64,
     /// Number of timed calls.
     pub calls: u64,
@@ -27,7 +35,27 @@ pub struct DriverTime {
 
 /// Switches the clock on or off for the whole process (default: off).
 pub fn set_driver_clock(on: bool) {
+    if on && !ON.swap(true, Ordering::Relaxed) {
+        calibrate(QUICK, || quick(|| ()));
+        calibrate(BLOCKING, || blocking(|| ()));
+    }
     ON.store(on, Ordering::Relaxed);
+}
+
+/// Measures what an empty call costs beyond what it says that it took.
+fn calibrate(kind: usize, empty: impl Fn()) {
+    COST_NS[kind].store(0, Ordering::Relaxed);
+    let said = (SPENT_NS.get(), CALLS.get());
+    let mut cost = u64::MAX;
+    for _ in 0..BATCHES {
+        let (start, spent) = (thread_cpu_ns(), SPENT_NS.get());
+        (0..CALLS_PER_BATCH).for_each(|_| empty());
+        let took = thread_cpu_ns().saturating_sub(start);
+        cost = cost.min(took.saturating_sub(SPENT_NS.get() - spent) / u64::from(CALLS_PER_BATCH));
+    }
+    COST_NS[kind].store(cost, Ordering::Relaxed);
+    SPENT_NS.set(said.0);
+    CALLS.set(said.1);
 }
 
 /// What this thread has spent inside the driver so far; take the difference of two readings.
@@ -41,7 +69,8 @@ pub fn thread_cpu_ns() -> u64 {
     (t.tv_sec as u64).wrapping_mul(1_000_000_000).wrapping_add(t.tv_nsec as u64)
 }
 
-fn add(ns: u64) {
+fn add(kind: usize, ns: u64) {
+    let ns = ns + COST_NS[kind].load(Ordering::Relaxed);
     SPENT_NS.set(SPENT_NS.get().wrapping_add(ns));
     CALLS.set(CALLS.get().wrapping_add(1));
 }
@@ -54,7 +83,7 @@ pub(crate) fn quick<R>(call: impl FnOnce() -> R) -> R {
     }
     let start = Instant::now();
     let result = call();
-    add(start.elapsed().as_nanos() as u64);
+    add(QUICK, start.elapsed().as_nanos() as u64);
     result
 }
 
@@ -66,7 +95,7 @@ pub(crate) fn blocking<R>(call: impl FnOnce() -> R) -> R {
     }
     let start = thread_cpu_ns();
     let result = call();
-    add(thread_cpu_ns().saturating_sub(start));
+    add(BLOCKING, thread_cpu_ns().saturating_sub(start));
     result
 }
 

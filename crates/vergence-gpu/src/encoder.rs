@@ -19,6 +19,8 @@ use crate::sync::Use;
 
 /// Most descriptor sets of a pipeline whose binding is remembered, so that a repeated one costs nothing.
 const MAX_SETS: usize = 4;
+/// Most vertex buffers whose binding is remembered.
+const MAX_VERTEX_BUFFERS: usize = 4;
 /// Barriers given to the driver at once.
 const BARRIERS_AT_ONCE: usize = 8;
 
@@ -216,6 +218,7 @@ pub struct Encoder<'a> {
     pipeline: Option<BoundPipeline>,
     sets: [vk::DescriptorSet; MAX_SETS],
     set_owner: (vk::PipelineLayout, vk::PipelineBindPoint),
+    vertices: [(vk::Buffer, u64); MAX_VERTEX_BUFFERS],
     index: (vk::Buffer, u64, vk::IndexType),
     indexed: bool,
 }
@@ -230,13 +233,20 @@ impl<'a> Encoder<'a> {
             pipeline: None,
             sets: [vk::DescriptorSet::null(); MAX_SETS],
             set_owner: (vk::PipelineLayout::null(), vk::PipelineBindPoint::GRAPHICS),
+            vertices: [(vk::Buffer::null(), 0); MAX_VERTEX_BUFFERS],
             index: (vk::Buffer::null(), 0, vk::IndexType::UINT16),
             indexed: false,
         }
     }
 
-    fn keep<T: Send + Sync + 'static>(&mut self, what: &Arc<T>) {
-        self.commands.kept.push(Arc::clone(what) as Arc<dyn Kept>);
+    /// Keeps what is recorded alive; `false` after a misuse, which it is to record what lives on another device.
+    fn keep<T: Kept + 'static>(&mut self, what: &Arc<T>) -> bool {
+        let here = std::ptr::eq(what.home(), &*self.commands.device);
+        let keeps = self.ensure(here, "something of another device was recorded");
+        if keeps {
+            self.commands.kept.push(Arc::clone(what) as Arc<dyn Kept>);
+        }
+        keeps
     }
 
     /// Remembers the first misuse; says whether to go on.
@@ -324,7 +334,9 @@ impl<'a> Encoder<'a> {
         for images in images.chunks(BARRIERS_AT_ONCE) {
             let mut raw = [vk::ImageMemoryBarrier2::default(); BARRIERS_AT_ONCE];
             for (raw, barrier) in raw.iter_mut().zip(images) {
-                self.keep(barrier.image);
+                if !self.keep(barrier.image) {
+                    return;
+                }
                 let (from_stages, from_access) = barrier.from.source();
                 let (to_stages, to_access) = barrier.to.scope();
                 *raw = vk::ImageMemoryBarrier2::default()
@@ -356,7 +368,9 @@ impl<'a> Encoder<'a> {
         for buffers in buffers.chunks(BARRIERS_AT_ONCE) {
             let mut raw = [vk::BufferMemoryBarrier2::default(); BARRIERS_AT_ONCE];
             for (raw, barrier) in raw.iter_mut().zip(buffers) {
-                self.keep(barrier.buffer);
+                if !self.keep(barrier.buffer) {
+                    return;
+                }
                 let (from_stages, from_access) = barrier.from.source();
                 let (to_stages, to_access) = barrier.to.scope();
                 *raw = vk::BufferMemoryBarrier2::default()
@@ -405,7 +419,9 @@ impl<'a> Encoder<'a> {
         }
         let mut colors = [vk::RenderingAttachmentInfo::default(); MAX_COLORS];
         for (raw, color) in colors.iter_mut().zip(rendering.colors) {
-            self.keep(color.view);
+            if !self.keep(color.view) {
+                return;
+            }
             *raw = raw
                 .image_view(color.view.raw)
                 .image_layout(vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL)
@@ -415,7 +431,9 @@ impl<'a> Encoder<'a> {
                 *raw = raw.clear_value(vk::ClearValue { color: vk::ClearColorValue { float32 } });
             }
             if let Some(resolve) = color.resolve {
-                self.keep(resolve);
+                if !self.keep(resolve) {
+                    return;
+                }
                 *raw = raw
                     .resolve_mode(vk::ResolveModeFlags::AVERAGE)
                     .resolve_image_view(resolve.raw)
@@ -424,7 +442,9 @@ impl<'a> Encoder<'a> {
         }
         let mut depth_info = vk::RenderingAttachmentInfo::default();
         if let Some(depth) = rendering.depth {
-            self.keep(depth.view);
+            if !self.keep(depth.view) {
+                return;
+            }
             let used = if depth.read_only { Use::DepthReadOnly } else { Use::DepthAttachment };
             depth_info = depth_info
                 .image_view(depth.view.raw)
@@ -441,7 +461,9 @@ impl<'a> Encoder<'a> {
                 });
             }
             if let Some(resolve) = depth.resolve {
-                self.keep(resolve);
+                if !self.keep(resolve) {
+                    return;
+                }
                 depth_info = depth_info
                     .resolve_mode(vk::ResolveModeFlags::SAMPLE_ZERO)
                     .resolve_image_view(resolve.raw)
@@ -508,42 +530,35 @@ impl<'a> Encoder<'a> {
 
     /// Binds a graphics pipeline; binding the bound one again costs nothing.
     pub fn bind(&mut self, pipeline: &Arc<GraphicsPipeline>) {
-        if self.bind_pipeline(pipeline.raw, &pipeline.layout, vk::PipelineBindPoint::GRAPHICS) {
-            self.keep(pipeline);
+        if self.pipeline.is_none_or(|bound| bound.raw != pipeline.raw) && self.keep(pipeline) {
+            self.bind_pipeline(pipeline.raw, &pipeline.layout, vk::PipelineBindPoint::GRAPHICS);
         }
     }
 
     /// Binds a compute pipeline; binding the bound one again costs nothing.
     pub fn bind_compute(&mut self, pipeline: &Arc<ComputePipeline>) {
-        if self.bind_pipeline(pipeline.raw, &pipeline.layout, vk::PipelineBindPoint::COMPUTE) {
-            self.keep(pipeline);
+        if self.pipeline.is_none_or(|bound| bound.raw != pipeline.raw) && self.keep(pipeline) {
+            self.bind_pipeline(pipeline.raw, &pipeline.layout, vk::PipelineBindPoint::COMPUTE);
         }
     }
 
-    fn bind_pipeline(
-        &mut self,
-        raw: vk::Pipeline,
-        layout: &PipelineLayout,
-        point: vk::PipelineBindPoint,
-    ) -> bool {
-        let bound = BoundPipeline {
-            raw,
-            layout: layout.raw,
-            point,
-            push_stages: layout.push_stages,
-            push_bytes: layout.push_bytes,
-        };
-        if self.wrong.is_some() || self.pipeline == Some(bound) {
-            return false;
+    fn bind_pipeline(&mut self, raw: vk::Pipeline, layout: &PipelineLayout, point: vk::PipelineBindPoint) {
+        if self.wrong.is_some() {
+            return;
         }
         if self.set_owner != (layout.raw, point) {
             self.set_owner = (layout.raw, point);
             self.sets = [vk::DescriptorSet::null(); MAX_SETS];
         }
-        self.pipeline = Some(bound);
+        self.pipeline = Some(BoundPipeline {
+            raw,
+            layout: layout.raw,
+            point,
+            push_stages: layout.push_stages,
+            push_bytes: layout.push_bytes,
+        });
         // SAFETY: recording; the caller keeps the pipeline.
         quick(|| unsafe { self.commands.device.raw.cmd_bind_pipeline(self.commands.raw, point, raw) });
-        true
     }
 
     /// Binds set `number` of the bound pipeline, with one offset (bytes) per dynamic binding; binding a bound set without dynamic
@@ -556,18 +571,15 @@ impl<'a> Encoder<'a> {
             return;
         }
         let Some(pipeline) = self.pipeline else { return };
-        let slot = self.sets.get_mut(number as usize);
-        if let Some(slot) = slot {
-            if *slot == set.raw && dynamic_offsets.is_empty() {
-                return;
-            }
-            let known = *slot == set.raw;
+        let known = self.sets.get(number as usize).is_some_and(|bound| *bound == set.raw);
+        if known && dynamic_offsets.is_empty() {
+            return;
+        }
+        if !known && !self.keep(set) {
+            return;
+        }
+        if let Some(slot) = self.sets.get_mut(number as usize) {
             *slot = set.raw;
-            if !known {
-                self.keep(set);
-            }
-        } else {
-            self.keep(set);
         }
         // SAFETY: recording; the set is kept; its layout is checked by the validation layer.
         quick(|| unsafe {
@@ -607,13 +619,22 @@ impl<'a> Encoder<'a> {
         });
     }
 
-    /// Binds a vertex buffer from `offset` (bytes).
+    /// Binds a vertex buffer from `offset` (bytes); binding the bound one again costs nothing.
     pub fn vertex_buffer(&mut self, binding: u32, buffer: &Arc<Buffer>, offset: u64) {
         let fits = offset < buffer.size() && buffer.usage().contains(vk::BufferUsageFlags::VERTEX_BUFFER);
         if !self.ensure(fits, "a vertex buffer of another usage, or an offset outside of it") {
             return;
         }
-        self.keep(buffer);
+        let bound = (buffer.raw, offset);
+        if self.vertices.get(binding as usize) == Some(&bound) {
+            return;
+        }
+        if !self.keep(buffer) {
+            return;
+        }
+        if let Some(slot) = self.vertices.get_mut(binding as usize) {
+            *slot = bound;
+        }
         // SAFETY: recording; the buffer is kept, the offset within it.
         quick(|| unsafe {
             self.commands.device.raw.cmd_bind_vertex_buffers(
@@ -634,9 +655,11 @@ impl<'a> Encoder<'a> {
         if self.index == (buffer.raw, offset, kind) {
             return;
         }
+        if !self.keep(buffer) {
+            return;
+        }
         self.index = (buffer.raw, offset, kind);
         self.indexed = true;
-        self.keep(buffer);
         // SAFETY: recording; the buffer is kept, the offset within it.
         quick(|| unsafe {
             self.commands.device.raw.cmd_bind_index_buffer(self.commands.raw, buffer.raw, offset, kind);
@@ -703,7 +726,9 @@ impl<'a> Encoder<'a> {
         {
             return;
         }
-        self.keep(arguments);
+        if !self.keep(arguments) {
+            return;
+        }
         // SAFETY: inside of rendering; the arguments are kept and within their buffer.
         quick(|| unsafe {
             self.commands.device.raw.cmd_draw_indexed_indirect(
@@ -741,8 +766,9 @@ impl<'a> Encoder<'a> {
         if !self.ensure(fits && !self.rendering, "a copy outside of a buffer, or inside of rendering") {
             return;
         }
-        self.keep(from);
-        self.keep(to);
+        if !self.keep(from) || !self.keep(to) {
+            return;
+        }
         let region = [vk::BufferCopy { src_offset: from_offset, dst_offset: to_offset, size: bytes }];
         // SAFETY: recording; both are kept, the ranges within them.
         quick(|| unsafe {
@@ -767,8 +793,9 @@ impl<'a> Encoder<'a> {
         if !self.texels_fit(to, &area, from, offset) {
             return;
         }
-        self.keep(from);
-        self.keep(to);
+        if !self.keep(from) || !self.keep(to) {
+            return;
+        }
         let region = [vk::BufferImageCopy {
             buffer_offset: offset,
             buffer_row_length: 0,
@@ -794,8 +821,9 @@ impl<'a> Encoder<'a> {
         if !self.texels_fit(from, &area, to, offset) {
             return;
         }
-        self.keep(from);
-        self.keep(to);
+        if !self.keep(from) || !self.keep(to) {
+            return;
+        }
         let region = [vk::BufferImageCopy {
             buffer_offset: offset,
             buffer_row_length: 0,
@@ -830,8 +858,9 @@ impl<'a> Encoder<'a> {
         ) {
             return;
         }
-        self.keep(from);
-        self.keep(to);
+        if !self.keep(from) || !self.keep(to) {
+            return;
+        }
         let region = [vk::ImageCopy {
             src_subresource: from_area.subresource(from),
             src_offset: from_area.offset(),
@@ -869,8 +898,9 @@ impl<'a> Encoder<'a> {
         if !self.ensure(right, "a blit outside of an image, of several samples, or inside of rendering") {
             return;
         }
-        self.keep(from);
-        self.keep(to);
+        if !self.keep(from) || !self.keep(to) {
+            return;
+        }
         let region = [vk::ImageBlit {
             src_subresource: from_area.subresource(from),
             src_offsets: [from_area.offset(), from_area.end()],
@@ -897,7 +927,9 @@ impl<'a> Encoder<'a> {
         if !self.ensure(right, "a clear of an image without colour, or inside of rendering") {
             return;
         }
-        self.keep(image);
+        if !self.keep(image) {
+            return;
+        }
         let range = [vk::ImageSubresourceRange {
             aspect_mask: vk::ImageAspectFlags::COLOR,
             base_mip_level: 0,

@@ -243,6 +243,11 @@ impl Image {
         aspect_of(self.format)
     }
 
+    /// The device that it lives on.
+    pub fn device(&self) -> &Arc<Device> {
+        &self.device
+    }
+
     /// A view of all mips and layers: an array view where there is more than one layer.
     ///
     /// # Errors
@@ -454,6 +459,13 @@ impl Sampler {
         let raw = unsafe { device.raw.create_sampler(&info, None) }.at("vkCreateSampler")?;
         Counters::add(&device.counters.samplers, 1);
         Ok(Arc::new(Self { raw, device: Arc::clone(device) }))
+    }
+}
+
+impl Sampler {
+    /// The device that it lives on.
+    pub fn device(&self) -> &Arc<Device> {
+        &self.device
     }
 }
 

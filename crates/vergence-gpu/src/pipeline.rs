@@ -80,6 +80,9 @@ impl PipelineLayout {
         push_stages: vk::ShaderStageFlags,
         push_bytes: u32,
     ) -> Result<Arc<Self>, Error> {
+        for set in sets {
+            device.check_home(set.device())?;
+        }
         let max = device.limits().max_push_bytes;
         if push_bytes > max || !push_bytes.is_multiple_of(4) {
             return Err(Error::range(
@@ -103,6 +106,11 @@ impl PipelineLayout {
             sets: sets.iter().map(|s| Arc::clone(s)).collect(),
             device: Arc::clone(device),
         }))
+    }
+
+    /// The device that it lives on.
+    pub fn device(&self) -> &Arc<Device> {
+        &self.device
     }
 
     /// The sets, by number.
@@ -214,6 +222,11 @@ impl GraphicsPipeline {
     ///
     /// A number of samples or views that the device does not have, an entry name with a nul, or a refusal by the driver.
     pub fn new(device: &Arc<Device>, desc: &GraphicsPipelineDesc<'_>) -> Result<Arc<Self>, Error> {
+        device.check_home(desc.layout.device())?;
+        device.check_home(&desc.vertex.module.device)?;
+        if let Some(fragment) = desc.fragment {
+            device.check_home(&fragment.module.device)?;
+        }
         if desc.colors.len() > MAX_COLORS {
             return Err(Error::range(
                 "colour attachments",
@@ -351,6 +364,8 @@ impl ComputePipeline {
         layout: &Arc<PipelineLayout>,
         stage: Stage<'_>,
     ) -> Result<Arc<Self>, Error> {
+        device.check_home(layout.device())?;
+        device.check_home(&stage.module.device)?;
         let entry = entry_name(stage.entry)?;
         let info = vk::ComputePipelineCreateInfo::default().layout(layout.raw).stage(
             vk::PipelineShaderStageCreateInfo::default()

@@ -151,6 +151,11 @@ impl Timeline {
         Ok(Arc::new(Self { raw, device: Arc::clone(device) }))
     }
 
+    /// The device that it lives on.
+    pub fn device(&self) -> &Arc<Device> {
+        &self.device
+    }
+
     /// Its value now.
     ///
     /// # Errors

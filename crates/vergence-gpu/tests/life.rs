@@ -159,6 +159,10 @@ fn misuse_is_an_error_at_the_end_of_recording() {
     );
     assert!(wrong(&|e| e.push(0, &1.0f32)).contains("without a pipeline"));
     assert!(wrong(&|e| e.dispatch(1, 1, 1)).contains("without a compute pipeline"));
+    let other = shared::device().unwrap();
+    let foreign = Buffer::new(&other, "foreign", 16, vk::BufferUsageFlags::empty(), Memory::Device).unwrap();
+    assert!(wrong(&|e| e.copy_buffer(&small, 0, &foreign, 0, 16)).contains("another device"));
+    assert!(other.submit(&mut commands, &[], &[]).is_err(), "commands of another device");
     // The command buffer is not spoiled.
     commands.record().unwrap().finish().unwrap();
     device.submit(&mut commands, &[], &[]).unwrap();
