@@ -67,6 +67,8 @@ struct Draw {
     transform: u32,
     // Index into `materials`.
     material: u32,
+    // The view of a pass that draws one view only; 0 in a multiview pass, where the built-in index says it.
+    view: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -137,7 +139,8 @@ struct Varying {
 
 //#if VERTEX
 @vertex
-fn vertex(in: Vertex, @builtin(view_index) view_index: u32) -> Varying {
+fn vertex(in: Vertex, @builtin(view_index) index_in_pass: u32) -> Varying {
+    let view_index = index_in_pass + draw.view;
     // A choice among values that are the same for the whole draw is cheaper than an index that differs by view.
     let first = draw.transform + 3u;
     var x = transforms[first];
@@ -212,7 +215,7 @@ fn fragment(
     in: Varying,
 //#if LIT
     @builtin(front_facing) front_facing: bool,
-    @builtin(view_index) view_index: u32,
+    @builtin(view_index) index_in_pass: u32,
 //#endif
 ) -> @location(0) vec4f {
 //#if MANY_UVS
@@ -259,6 +262,7 @@ fn fragment(
     var color = base.rgb;
 //#endif
 //#if LIT
+    let view_index = index_in_pass + draw.view;
     var eye = frame.views[0].eye_in_head.xyz;
     var ray = frame.views[0].ray.xyz;
     var ray_per_x = frame.views[0].ray_per_x.xyz;

@@ -26,6 +26,8 @@ struct Draw {
     atlas_height: f32,
     // Linear RGBA.
     color: vec4f,
+    // As in surface.wgsl.
+    view: u32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Views;
@@ -43,8 +45,9 @@ struct Varying {
 fn vertex(
     @location(0) position: vec3f,
     @location(1) uv: vec2f,
-    @builtin(view_index) view_index: u32,
+    @builtin(view_index) index_in_pass: u32,
 ) -> Varying {
+    let view_index = index_in_pass + draw.view;
     let first = draw.transform + 3u;
     var x = transforms[first];
     var y = transforms[first + 1u];

@@ -14,11 +14,18 @@ struct Views {
     views: array<View, 4>,
 }
 
+struct Draw {
+    // As in surface.wgsl.
+    view: u32,
+}
+
 @group(0) @binding(0) var<uniform> frame: Views;
+var<immediate> draw: Draw;
 
 // xy: where the vertex lies in the plane z = −1 of its eye; z: the index of its view.
 @vertex
-fn vertex(@location(0) vertex: vec3f, @builtin(view_index) view_index: u32) -> @builtin(position) vec4f {
+fn vertex(@location(0) vertex: vec3f, @builtin(view_index) index_in_pass: u32) -> @builtin(position) vec4f {
+    let view_index = index_in_pass + draw.view;
     let clip = frame.views[view_index].clip;
     let here = u32(vertex.z + 0.5) == view_index;
     let position = vec4f(vertex.x * clip.x - clip.y, vertex.y * clip.z - clip.w, 1.0, 1.0);

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 pub mod animation;
+mod default_light;
 mod error;
 pub mod gltf;
 mod import;

@@ -6,11 +6,13 @@
 
 mod doctor;
 mod failure;
+mod framing;
 mod loading;
 mod logging;
 mod plan;
 #[allow(dead_code, reason = "for the verbs that draw")]
 mod quality;
+mod render;
 mod stream;
 
 use std::process::ExitCode;
@@ -34,6 +36,7 @@ struct Cli {
 enum Verb {
     Plan(plan::Args),
     Doctor(doctor::Args),
+    Render(render::Args),
 }
 
 impl Verb {
@@ -41,6 +44,7 @@ impl Verb {
         match self {
             Self::Plan(verb) => verb.run(),
             Self::Doctor(verb) => verb.run(),
+            Self::Render(verb) => verb.run(),
         }
     }
 }

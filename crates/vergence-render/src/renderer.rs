@@ -1,0 +1,791 @@
+//! A frame, from the pose of the scene to a submission.
+
+use std::sync::Arc;
+
+use vergence_geom::View;
+use vergence_gpu::vk;
+use vergence_gpu::{
+    BindingDesc, Bound, Buffer, ColorAttachment, CommandBuffer, DepthAttachment, DescriptorSet, Device,
+    Encoder, Image, ImageBarrier, ImageDesc, ImageView, Load, Memory, Rendering, SetLayout, Upload, Use,
+    ViewDesc,
+};
+use vergence_scene::Needs;
+use vergence_scene::model::Scene;
+use vergence_time::Span;
+
+use crate::cull::{Item, Visible};
+use crate::hidden::Hidden;
+use crate::labels::Labels;
+use crate::meshes::{Meshes, at};
+use crate::pipelines::{DrawPush, KindPipelines};
+use crate::pose::Pose;
+use crate::skinning::Skinning;
+use crate::textures::{self, TextureSet};
+use crate::views::{Axes, Eyes, PackedFrame, pack, rows_per_item};
+use crate::{Error, MAX_LIGHTS, MAX_VIEWS, Quality, lights};
+
+/// What is drawn to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Target {
+    /// Of the single-sampled colour image; an sRGB format, since shaders write linear light.
+    pub color_format: vk::Format,
+    /// A float format: reversed depth needs one to be exact far away.
+    pub depth_format: vk::Format,
+    /// Width and height of each view, pixels.
+    pub size: (u32, u32),
+    /// Number of views, 1…[`MAX_VIEWS`]: layers of the images.
+    pub views: u32,
+}
+
+impl Target {
+    /// 8-bit sRGB and 32-bit depth for `views` views of `size` pixels.
+    pub fn new(size: (u32, u32), views: u32) -> Self {
+        Self { color_format: vk::Format::R8G8B8A8_SRGB, depth_format: vk::Format::D32_SFLOAT, size, views }
+    }
+
+    /// The views of one pass, one bit each; 0 where each view has its own pass.
+    pub(crate) fn view_mask(&self, device: &Device) -> u32 {
+        if self.views == 1 || has_sound_multiview(device) { (1 << self.views) - 1 } else { 0 }
+    }
+}
+
+/// Whether one pass may draw all views. Mesa's software device draws the views of a multiview pass one after the
+/// other in any case, and puts triangles that it clips into the wrong view (seen in 22.3.6: the vertices that
+/// clipping makes are flushed after the view has changed), so it gets one pass per view.
+fn has_sound_multiview(device: &Device) -> bool {
+    !device.limits().software
+}
+
+/// The images of one frame: an array layer per view.
+#[derive(Clone, Copy)]
+pub struct Attachments<'a> {
+    /// Colour, one sample; what the picture is resolved to where there are more.
+    pub color: &'a Arc<ImageView>,
+    /// Its use before (its content is given up) and after.
+    pub color_before: Use,
+    /// See [`Attachments::color_before`].
+    pub color_after: Use,
+    /// Depth, one sample, where it is wanted: sample zero where there are more.
+    pub depth: Option<&'a Arc<ImageView>>,
+    /// Its use before (its content is given up) and after.
+    pub depth_before: Use,
+    /// See [`Attachments::depth_before`].
+    pub depth_after: Use,
+}
+
+impl<'a> Attachments<'a> {
+    /// Images that are, and stay, in the layouts of attachments: those of an OpenXR swapchain.
+    pub fn swapchain(color: &'a Arc<ImageView>, depth: Option<&'a Arc<ImageView>>) -> Self {
+        Self {
+            color,
+            color_before: Use::ColorAttachment,
+            color_after: Use::ColorAttachment,
+            depth,
+            depth_before: Use::DepthAttachment,
+            depth_after: Use::DepthAttachment,
+        }
+    }
+}
+
+/// GPU time of a pass.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PassMs {
+    /// "skinning" or "surfaces".
+    pub name: &'static str,
+    /// Milliseconds.
+    pub ms: f64,
+}
+
+/// What a frame drew.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// Triangles of the whole scene.
+    pub triangles: u64,
+    /// Triangles of parts that were not culled.
+    pub triangles_drawn: u64,
+    /// Parts and labels that were not culled.
+    pub draws: u32,
+}
+
+/// What a frame in flight owns.
+struct Slot {
+    commands: CommandBuffer,
+    frame: Arc<Buffer>,
+    /// `None` where nothing is drawn.
+    transforms: Option<Arc<Buffer>>,
+    set: Option<Arc<DescriptorSet>>,
+    /// In the order of transforms.
+    items: Vec<Item>,
+    state: State,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum State {
+    Free,
+    Begun,
+    Latched,
+}
+
+/// Where the scene's vertices are.
+struct Geometry {
+    moving: Option<Arc<Buffer>>,
+    sticking: Option<Arc<Buffer>>,
+    indices: Arc<Buffer>,
+}
+
+/// Images between the passes and the attachments, where there are more samples than one or no depth is asked for.
+#[derive(Default)]
+struct Between {
+    color: Option<Arc<ImageView>>,
+    depth: Option<Arc<ImageView>>,
+    /// Views of single layers, for passes of single views.
+    layers: Vec<(Arc<ImageView>, u32, Arc<ImageView>)>,
+}
+
+/// Most views of single layers that are kept: swapchains of a few images, colour and depth, some views.
+const LAYER_VIEWS: usize = 64;
+
+/// Draws one scene to one kind of target.
+pub struct Renderer {
+    device: Arc<Device>,
+    scene: Arc<Scene>,
+    quality: Quality,
+    target: Target,
+    meshes: Meshes,
+    pose: Pose,
+    geometry: Option<Geometry>,
+    kinds: Vec<KindPipelines>,
+    textures: Vec<TextureSet>,
+    skinning: Option<Skinning>,
+    labels: Option<Labels>,
+    hidden: Option<Hidden>,
+    label_balls: Vec<(nalgebra::Point3<f64>, f64)>,
+    frame_sets: Arc<SetLayout>,
+    between: Between,
+    visible: Visible,
+    slots: Vec<Slot>,
+    lights: Vec<usize>,
+    statistics: Statistics,
+    // Kept from frame to frame so that latching allocates nothing.
+    axes: Vec<Option<Axes>>,
+    rows: Vec<[f32; 4]>,
+}
+
+impl Renderer {
+    /// Makes what `needs` (of this `scene`) says, and nothing else, for `frames_in_flight` frames.
+    ///
+    /// # Errors
+    /// A quality that the device does not have, more lights than [`MAX_LIGHTS`], more views than [`MAX_VIEWS`], no
+    /// memory, or a scene whose indices are wrong.
+    pub fn new(
+        device: &Arc<Device>,
+        scene: &Arc<Scene>,
+        needs: &Needs,
+        quality: &Quality,
+        target: &Target,
+        frames_in_flight: usize,
+    ) -> Result<Self, Error> {
+        quality.check(device.limits())?;
+        if !(1..=MAX_VIEWS).contains(&target.views) {
+            return Err(Error::range("views", format!("1 to {MAX_VIEWS}"), target.views));
+        }
+        if needs.lights > MAX_LIGHTS as usize {
+            return Err(Error::range("lights in the scene", format!("at most {MAX_LIGHTS}"), needs.lights));
+        }
+        if frames_in_flight == 0 {
+            return Err(Error::range("frames in flight", "at least 1", 0));
+        }
+        let meshes = Meshes::of(scene, quality.normal_maps)?;
+        let mut lights = Vec::new();
+        for (index, node) in scene.nodes.iter().enumerate() {
+            if let Some(light) = node.light {
+                at("lights", &scene.lights, light)?;
+                lights.push(index);
+            }
+        }
+        let mut pose = Pose::new(scene, &meshes);
+        pose.update(scene, &meshes, Span::ZERO);
+
+        let mut upload = Upload::new(device)?;
+        let frame_sets = frame_set_layout(device)?;
+        let geometry = upload_geometry(&mut upload, &meshes)?;
+        let textures =
+            textures::upload(device, &mut upload, scene, &meshes.texture_sets, quality.anisotropy)?;
+        let skinning = Skinning::new(device, &mut upload, &meshes, frames_in_flight)?;
+        let labels = if needs.text {
+            Labels::new(device, &mut upload, scene, &frame_sets, target, quality.msaa)?
+        } else {
+            None
+        };
+        let materials = if meshes.materials.is_empty() {
+            None
+        } else {
+            Some(upload.buffer("materials", &meshes.materials, vk::BufferUsageFlags::STORAGE_BUFFER)?)
+        };
+        let items = meshes.drawables.len() + labels.as_ref().map_or(0, Labels::len);
+        let rows = items * rows_per_item(target.views as usize);
+        let slots = (0..frames_in_flight)
+            .map(|_| Slot::new(device, &frame_sets, rows, materials.as_ref(), quality.timestamps))
+            .collect::<Result<_, _>>()?;
+        let mut renderer = Self {
+            device: Arc::clone(device),
+            scene: Arc::clone(scene),
+            quality: quality.clone(),
+            target: *target,
+            pose,
+            geometry,
+            kinds: Vec::new(),
+            textures,
+            skinning,
+            labels,
+            hidden: None,
+            label_balls: Vec::new(),
+            frame_sets,
+            between: Between::new(device, target, quality.msaa)?,
+            visible: Visible::default(),
+            slots,
+            lights,
+            statistics: Statistics { triangles: meshes.triangles, ..Statistics::default() },
+            axes: Vec::new(),
+            rows: Vec::with_capacity(rows),
+            meshes,
+        };
+        renderer.make_pipelines()?;
+        Ok(renderer)
+    }
+
+    /// The pipelines that the scene at rest needs.
+    fn make_pipelines(&mut self) -> Result<(), Error> {
+        for (index, kind) in self.meshes.kinds.iter().enumerate() {
+            let mut user = self.meshes.drawables.iter().filter(|drawable| drawable.kind == index);
+            let Some(textures) = user.next().map(|d| &self.textures[d.texture_set].layout) else { continue };
+            self.kinds.push(KindPipelines::new(&self.device, *kind, &self.frame_sets, textures)?);
+        }
+        let lights = self.lights.len() as u32;
+        for drawable in &self.meshes.drawables {
+            let mirrored = is_mirrored(&self.pose, drawable.node, drawable.skin);
+            let kind = &mut self.kinds[drawable.kind];
+            kind.get(&self.device, &self.target, self.quality.msaa, lights, mirrored)?;
+        }
+        Ok(())
+    }
+
+    /// What is drawn to.
+    pub fn target(&self) -> &Target {
+        &self.target
+    }
+
+    /// The quality that it was made with.
+    pub fn quality(&self) -> &Quality {
+        &self.quality
+    }
+
+    /// Sets what the lens hides of each view (OpenXR's hidden triangle mesh): corners in the plane z = −1 of the
+    /// eye, three indices per triangle. Empty lists take it away again.
+    ///
+    /// # Errors
+    /// An index that is not below the number of corners, or no memory.
+    pub fn visibility_mask(&mut self, areas: &[(Vec<[f32; 2]>, Vec<u32>)]) -> Result<(), Error> {
+        let mut upload = Upload::new(&self.device)?;
+        self.hidden =
+            Hidden::new(&self.device, &mut upload, areas, &self.frame_sets, &self.target, self.quality.msaa)?;
+        Ok(())
+    }
+
+    /// Begins a frame in `slot` (which waits for the frame that used it before): moves the scene to
+    /// `animation_time`, finds what `cull_views` may see, and records the draws to `attachments`.
+    ///
+    /// # Errors
+    /// A slot or a number of views that the renderer was not made with, a frame begun twice, or a lost device.
+    pub fn begin(
+        &mut self,
+        slot: usize,
+        animation_time: Span,
+        cull_views: &[View],
+        attachments: &Attachments<'_>,
+    ) -> Result<(), Error> {
+        self.check_views(cull_views)?;
+        let state = self.slot(slot)?.state;
+        if state != State::Free {
+            return Err(Error::Order { expected: "submit", found: "begin" });
+        }
+        // Nothing of a frame in flight is written over: the device is done with this slot.
+        self.slots[slot].commands.wait()?;
+        self.pose.update(&self.scene, &self.meshes, animation_time);
+        if let Some(labels) = &self.labels {
+            labels.find_balls(&self.pose.world, &mut self.label_balls);
+        }
+        self.visible.find(&self.meshes, &self.pose, &self.label_balls, cull_views, &self.quality);
+        if let Some(skinning) = &self.skinning {
+            skinning.write(slot, &self.pose.joint_rows)?;
+        }
+        self.record(slot, attachments)?;
+        self.slots[slot].state = State::Begun;
+        Ok(())
+    }
+
+    fn record(&mut self, slot_index: usize, attachments: &Attachments<'_>) -> Result<(), Error> {
+        let lights = self.lights.len() as u32;
+        // A node that animation has mirrored may need a pipeline that nobody needed so far.
+        for (_, item) in self.visible.covering.iter().chain(&self.visible.blended) {
+            if let Item::Part(index) = item {
+                let drawable = &self.meshes.drawables[*index as usize];
+                let mirrored = is_mirrored(&self.pose, drawable.node, drawable.skin);
+                let kind = &mut self.kinds[drawable.kind];
+                kind.get(&self.device, &self.target, self.quality.msaa, lights, mirrored)?;
+            }
+        }
+        self.between.complete(&self.device, &self.target, attachments)?;
+        let passes = if self.target.view_mask(&self.device) == 0 { self.target.views } else { 1 };
+        let slot = &mut self.slots[slot_index];
+        slot.items.clear();
+        let mut encoder = slot.commands.record()?;
+        if let Some(skinning) = &self.skinning {
+            encoder.begin_pass("skinning");
+            skinning.record(&mut encoder, slot_index);
+            encoder.end_pass();
+        }
+        encoder.begin_pass("surfaces");
+        slot.items.extend(self.visible.covering.iter().chain(&self.visible.blended).map(|(_, item)| *item));
+        let mut triangles = 0;
+        self.between.prepare(&mut encoder, attachments);
+        for pass in 0..passes {
+            let layer = (passes > 1).then_some(pass);
+            let background = Some(self.scene.background);
+            self.between.begin(&mut encoder, attachments, &self.target, layer, background)?;
+            if let Some(set) = &slot.set {
+                if let Some(hidden) = &self.hidden {
+                    hidden.draw(&mut encoder, set, pass);
+                }
+                let mut draws = Draws {
+                    meshes: &self.meshes,
+                    pose: &self.pose,
+                    geometry: self.geometry.as_ref(),
+                    skinned: self.skinning.as_ref().map(|skinning| &skinning.result),
+                    textures: &self.textures,
+                    kinds: &mut self.kinds,
+                    device: &self.device,
+                    target: &self.target,
+                    samples: self.quality.msaa,
+                    lights,
+                    set,
+                    view: pass,
+                    bound: Bindings::default(),
+                    triangles: 0,
+                };
+                let rows = rows_per_item(self.target.views as usize) as u32;
+                for (number, item) in slot.items.iter().enumerate() {
+                    let transform = number as u32 * rows;
+                    match item {
+                        Item::Part(index) => draws.part(&mut encoder, *index as usize, transform)?,
+                        Item::Label(index) => {
+                            if let Some(labels) = &self.labels {
+                                labels.draw(&mut encoder, set, *index as usize, transform, pass);
+                                draws.bound = Bindings::default();
+                            }
+                        }
+                    }
+                }
+                triangles = draws.triangles;
+            }
+            encoder.end_rendering();
+        }
+        if passes > 1 && self.between.color.is_some() {
+            self.between.begin(&mut encoder, attachments, &self.target, None, None)?;
+            encoder.end_rendering();
+        }
+        self.statistics.triangles_drawn = triangles;
+        self.statistics.draws = slot.items.len() as u32;
+        self.between.finish(&mut encoder, attachments);
+        encoder.end_pass();
+        Ok(encoder.finish()?)
+    }
+
+    /// Writes what depends on where the eyes are: the frame is drawn from `views`, whatever it was culled for. May be called
+    /// again until the frame is submitted.
+    ///
+    /// # Errors
+    /// Another number of views than the renderer was made with, or a frame that was not begun.
+    pub fn latch(&mut self, slot: usize, views: &[View]) -> Result<(), Error> {
+        self.check_views(views)?;
+        if self.slot(slot)?.state == State::Free {
+            return Err(Error::Order { expected: "begin", found: "latch" });
+        }
+        let eyes = Eyes::new(views);
+        self.write_frame(slot, views, &eyes)?;
+        let viewer = eyes.middle();
+        let rows_per_item = rows_per_item(views.len());
+        self.axes.clear();
+        self.axes.resize(self.pose.world.world_from_node.len(), None);
+        let slot = &mut self.slots[slot];
+        self.rows.clear();
+        self.rows.resize(slot.items.len() * rows_per_item, [0.0; 4]);
+        let upright = eyes.axes(&nalgebra::Matrix3::identity());
+        for (item, rows) in slot.items.iter().zip(self.rows.chunks_exact_mut(rows_per_item)) {
+            match *item {
+                Item::Part(index) => {
+                    let drawable = &self.meshes.drawables[index as usize];
+                    if let Some(skin) = drawable.skin {
+                        eyes.write_rows(&upright, &self.pose.anchors[skin], rows);
+                        continue;
+                    }
+                    let world_from_node = &self.pose.world.world_from_node[drawable.node];
+                    let axes =
+                        self.axes[drawable.node].get_or_insert_with(|| eyes.axes(&world_from_node.linear));
+                    eyes.write_rows(axes, &world_from_node.transform_point(&drawable.centre), rows);
+                }
+                Item::Label(index) => {
+                    if let Some(labels) = &self.labels {
+                        let (linear, place) = labels.stand(index as usize, &self.pose.world, &viewer);
+                        eyes.write_rows(&eyes.axes(&linear), &place, rows);
+                    }
+                }
+            }
+        }
+        if let Some(transforms) = slot.transforms.as_ref().filter(|_| !self.rows.is_empty()) {
+            transforms.write(0, &self.rows)?;
+        }
+        slot.state = State::Latched;
+        Ok(())
+    }
+
+    fn write_frame(&mut self, slot: usize, views: &[View], eyes: &Eyes) -> Result<(), Error> {
+        let mut frame: PackedFrame = bytemuck::Zeroable::zeroed();
+        for (packed, view) in frame.views.iter_mut().zip(views) {
+            *packed = pack(view, &eyes.head_from_world, self.target.size, self.quality.near_m);
+        }
+        let [r, g, b] = self.scene.ambient;
+        frame.ambient = [r, g, b, 0.0];
+        for (packed, &node) in frame.lights.iter_mut().zip(&self.lights) {
+            if let Some(light) = self.scene.nodes[node].light {
+                let world_from_node = &self.pose.world.world_from_node[node];
+                *packed = lights::pack(&self.scene.lights[light], world_from_node, &eyes.head_from_world);
+            }
+        }
+        // Only as much as is used: the rest of the lights stays as it is.
+        let used = size_of::<PackedFrame>() - size_of_val(&frame.lights[self.lights.len()..]);
+        Ok(self.slots[slot].frame.write(0, &bytemuck::bytes_of(&frame)[..used])?)
+    }
+
+    /// Hands the frame to the device; gives the number of the submission, for [`Device::wait`].
+    ///
+    /// # Errors
+    /// A frame that was not latched, or a lost device.
+    pub fn submit(&mut self, slot: usize) -> Result<u64, Error> {
+        if self.slot(slot)?.state != State::Latched {
+            return Err(Error::Order { expected: "latch", found: "submit" });
+        }
+        let device = Arc::clone(&self.device);
+        let slot = &mut self.slots[slot];
+        let submission = device.submit(&mut slot.commands, &[], &[])?;
+        slot.state = State::Free;
+        Ok(submission)
+    }
+
+    /// GPU time per pass of the last frame of `slot`, for which it waits; empty where timestamps are off or the
+    /// device has none.
+    ///
+    /// # Errors
+    /// A slot that does not exist, or a lost device.
+    pub fn timings(&mut self, slot: usize) -> Result<Vec<PassMs>, Error> {
+        self.slot(slot)?;
+        let times = self.slots[slot].commands.pass_times()?;
+        Ok(times.iter().map(|time| PassMs { name: time.name, ms: time.ns * 1e-6 }).collect())
+    }
+
+    /// What the last frame drew.
+    pub fn statistics(&self) -> Statistics {
+        self.statistics
+    }
+
+    fn slot(&self, slot: usize) -> Result<&Slot, Error> {
+        let frames = self.slots.len();
+        self.slots.get(slot).ok_or_else(|| Error::range("frame slot", format!("below {frames}"), slot))
+    }
+
+    fn check_views(&self, views: &[View]) -> Result<(), Error> {
+        if views.len() != self.target.views as usize {
+            return Err(Error::range("views", self.target.views, views.len()));
+        }
+        for view in views {
+            view.fov.checked().map_err(|error| Error::range("view", "one that can be drawn", error))?;
+        }
+        Ok(())
+    }
+}
+
+/// Whether a node turns its triangles over (joints decide for themselves: they rarely do).
+fn is_mirrored(pose: &Pose, node: usize, skin: Option<usize>) -> bool {
+    skin.is_none() && pose.world.world_from_node[node].linear.determinant() < 0.0
+}
+
+/// What is bound, by index, so that nothing is bound twice.
+#[derive(Default, PartialEq, Clone, Copy)]
+struct Bindings {
+    pipeline: Option<(usize, bool)>,
+    texture_set: Option<usize>,
+    group: Option<usize>,
+    indices: bool,
+}
+
+/// Records the draws of one frame.
+struct Draws<'a> {
+    meshes: &'a Meshes,
+    pose: &'a Pose,
+    geometry: Option<&'a Geometry>,
+    skinned: Option<&'a Arc<Buffer>>,
+    textures: &'a [TextureSet],
+    kinds: &'a mut [KindPipelines],
+    device: &'a Arc<Device>,
+    target: &'a Target,
+    samples: u32,
+    lights: u32,
+    set: &'a Arc<DescriptorSet>,
+    view: u32,
+    bound: Bindings,
+    triangles: u64,
+}
+
+impl Draws<'_> {
+    fn part(&mut self, encoder: &mut Encoder<'_>, index: usize, transform: u32) -> Result<(), Error> {
+        let Some(geometry) = self.geometry else { return Ok(()) };
+        let drawable = &self.meshes.drawables[index];
+        let mirrored = is_mirrored(self.pose, drawable.node, drawable.skin);
+        let pipeline = Some((drawable.kind, mirrored));
+        if self.bound.pipeline != pipeline {
+            let kind = &mut self.kinds[drawable.kind];
+            let made = kind.get(self.device, self.target, self.samples, self.lights, mirrored)?;
+            encoder.bind(made);
+            encoder.bind_set(0, self.set, &[]);
+            self.bound.pipeline = pipeline;
+            self.bound.texture_set = None;
+        }
+        if self.bound.texture_set != Some(drawable.texture_set) {
+            if let Some(set) = &self.textures[drawable.texture_set].set {
+                encoder.bind_set(1, set, &[]);
+            }
+            self.bound.texture_set = Some(drawable.texture_set);
+        }
+        if self.bound.group != Some(drawable.group) {
+            let group = &self.meshes.groups[drawable.group];
+            let moving = if group.skinned { self.skinned } else { geometry.moving.as_ref() };
+            if let Some(moving) = moving {
+                encoder.vertex_buffer(0, moving, group.moving_offset);
+            }
+            if let Some(sticking) = geometry.sticking.as_ref().filter(|_| group.layout.sticking() > 0) {
+                encoder.vertex_buffer(1, sticking, group.sticking_offset);
+            }
+            self.bound.group = Some(drawable.group);
+        }
+        if !self.bound.indices {
+            encoder.index_buffer(&geometry.indices, 0, vk::IndexType::UINT16);
+            self.bound.indices = true;
+        }
+        encoder.push(0, &DrawPush { transform, material: drawable.material, view: self.view });
+        encoder.draw_indexed(drawable.index_count, drawable.first_index, drawable.base_vertex, 1, 0);
+        self.triangles += u64::from(drawable.index_count / 3);
+        Ok(())
+    }
+}
+
+impl Slot {
+    fn new(
+        device: &Arc<Device>,
+        layout: &Arc<SetLayout>,
+        rows: usize,
+        materials: Option<&Arc<Buffer>>,
+        timestamps: bool,
+    ) -> Result<Self, Error> {
+        const PASSES: u32 = 2;
+        let bytes = size_of::<PackedFrame>() as u64;
+        let frame =
+            Buffer::new(device, "frame", bytes, vk::BufferUsageFlags::UNIFORM_BUFFER, Memory::Upload)?;
+        let storage = vk::BufferUsageFlags::STORAGE_BUFFER;
+        let (mut transforms, mut set) = (None, None);
+        if rows > 0 {
+            let buffer = Buffer::new(device, "transforms", 16 * rows as u64, storage, Memory::Upload)?;
+            let bound = [
+                (0, 0, Bound::Buffer(&frame)),
+                (1, 0, Bound::Buffer(&buffer)),
+                // A scene of labels only has no materials; their shader does not look.
+                (2, 0, Bound::Buffer(materials.unwrap_or(&buffer))),
+            ];
+            set = Some(DescriptorSet::new(layout, &bound)?);
+            transforms = Some(buffer);
+        }
+        let commands = CommandBuffer::new(device, "frame", if timestamps { PASSES } else { 0 })?;
+        Ok(Self { commands, frame, transforms, set, items: Vec::new(), state: State::Free })
+    }
+}
+
+impl Between {
+    fn new(device: &Arc<Device>, target: &Target, samples: u32) -> Result<Self, Error> {
+        if samples == 1 {
+            return Ok(Self::default());
+        }
+        Ok(Self {
+            color: Some(attachment(device, target, target.color_format, samples)?),
+            depth: Some(attachment(device, target, target.depth_format, samples)?),
+            layers: Vec::new(),
+        })
+    }
+
+    /// Makes the depth image that a pass without samples needs where nobody asks for its depth.
+    fn complete(&mut self, device: &Arc<Device>, target: &Target, to: &Attachments<'_>) -> Result<(), Error> {
+        if self.depth.is_none() && to.depth.is_none() {
+            self.depth = Some(attachment(device, target, target.depth_format, 1)?);
+        }
+        Ok(())
+    }
+
+    /// The depth image of its own that passes to `to` use.
+    fn own_depth(&self, to: &Attachments<'_>) -> Option<&Arc<ImageView>> {
+        self.depth.as_ref().filter(|_| self.color.is_some() || to.depth.is_none())
+    }
+
+    /// Makes all images attachments; before the first pass of a frame.
+    fn prepare(&self, encoder: &mut Encoder<'_>, to: &Attachments<'_>) {
+        let discard = |view: &'_ Arc<ImageView>, from, to| (Arc::clone(view.image()), from, to);
+        let mut changes = vec![discard(to.color, to.color_before, Use::ColorAttachment)];
+        if let Some(depth) = to.depth {
+            changes.push(discard(depth, to.depth_before, Use::DepthAttachment));
+        }
+        if let Some(color) = &self.color {
+            changes.push(discard(color, Use::ColorAttachment, Use::ColorAttachment));
+        }
+        if let Some(depth) = self.own_depth(to) {
+            changes.push(discard(depth, Use::DepthAttachment, Use::DepthAttachment));
+        }
+        let barriers: Vec<_> =
+            changes.iter().map(|(image, from, to)| ImageBarrier::new(image, *from, *to).discard()).collect();
+        encoder.barrier(&barriers, &[]);
+    }
+
+    /// Begins a pass to all layers (`layer` none), which also resolves samples, or to one, which does not: some
+    /// drivers resolve the first layer only.
+    fn begin(
+        &mut self,
+        encoder: &mut Encoder<'_>,
+        to: &Attachments<'_>,
+        target: &Target,
+        layer: Option<u32>,
+        clear: Option<[f32; 3]>,
+    ) -> Result<(), Error> {
+        let has_samples = self.color.is_some();
+        let resolves = has_samples && layer.is_none();
+        let own_depth = self.own_depth(to).cloned();
+        let own_color = self.color.clone();
+        let color_view = self.layer(own_color.as_ref().unwrap_or(to.color), layer)?;
+        let depth_view = match own_depth.as_ref().or(to.depth) {
+            Some(view) => Some(self.layer(view, layer)?),
+            None => None,
+        };
+        let color = ColorAttachment {
+            view: &color_view,
+            resolve: Some(to.color).filter(|_| resolves),
+            load: clear.map_or(Load::Keep, |[r, g, b]| Load::Clear([r, g, b, 1.0])),
+            store: !resolves,
+        };
+        let depth = depth_view.as_ref().map(|view| DepthAttachment {
+            view,
+            resolve: to.depth.filter(|_| resolves),
+            load: clear.map_or(Load::Keep, |_| Load::Clear(0.0)),
+            // Depth of its own is wanted after a pass only to be resolved.
+            store: own_depth.is_none() || (has_samples && !resolves && to.depth.is_some()),
+            read_only: false,
+        });
+        let depth = depth.filter(|_| clear.is_some() || to.depth.is_some());
+        let view_mask = if layer.is_none() { (1 << target.views) - 1 } else { 0 };
+        encoder.begin_rendering(&Rendering {
+            size: target.size,
+            view_mask,
+            layers: 1,
+            colors: &[color],
+            depth,
+        });
+        Ok(())
+    }
+
+    /// A view of one layer, made once for each image and layer that comes along again.
+    fn layer(&mut self, view: &Arc<ImageView>, layer: Option<u32>) -> Result<Arc<ImageView>, Error> {
+        let Some(layer) = layer else { return Ok(Arc::clone(view)) };
+        let known = self.layers.iter().find(|(whole, at, _)| *at == layer && Arc::ptr_eq(whole, view));
+        if let Some((_, _, single)) = known {
+            return Ok(Arc::clone(single));
+        }
+        if self.layers.len() >= LAYER_VIEWS {
+            self.layers.remove(0);
+        }
+        let desc = ViewDesc { base_layer: layer, layers: Some(1), ..ViewDesc::default() };
+        let single = ImageView::new(view.image(), &desc)?;
+        self.layers.push((Arc::clone(view), layer, Arc::clone(&single)));
+        Ok(single)
+    }
+
+    /// Gives the attachments the uses that were asked for; after the last pass of a frame.
+    fn finish(&self, encoder: &mut Encoder<'_>, to: &Attachments<'_>) {
+        let color = ImageBarrier::new(to.color.image(), Use::ColorAttachment, to.color_after);
+        if to.color_after != Use::ColorAttachment {
+            encoder.barrier(&[color], &[]);
+        }
+        if let Some(depth) = to.depth.filter(|_| to.depth_after != Use::DepthAttachment) {
+            encoder.transition(depth.image(), Use::DepthAttachment, to.depth_after);
+        }
+    }
+}
+
+fn attachment(
+    device: &Arc<Device>,
+    target: &Target,
+    format: vk::Format,
+    samples: u32,
+) -> Result<Arc<ImageView>, Error> {
+    let (name, usage) = if format == target.depth_format {
+        ("depth", vk::ImageUsageFlags::DEPTH_STENCIL_ATTACHMENT)
+    } else {
+        ("colour samples", vk::ImageUsageFlags::COLOR_ATTACHMENT)
+    };
+    let image = Image::new(
+        device,
+        &ImageDesc {
+            name,
+            format,
+            width: target.size.0,
+            height: target.size.1,
+            layers: target.views,
+            samples,
+            usage: usage | vk::ImageUsageFlags::TRANSIENT_ATTACHMENT,
+            ..ImageDesc::default()
+        },
+    )?;
+    let kind = Some(vk::ImageViewType::TYPE_2D_ARRAY);
+    Ok(ImageView::new(&image, &ViewDesc { kind, ..ViewDesc::default() })?)
+}
+
+fn frame_set_layout(device: &Arc<Device>) -> Result<Arc<SetLayout>, Error> {
+    let stages = vk::ShaderStageFlags::VERTEX | vk::ShaderStageFlags::FRAGMENT;
+    Ok(SetLayout::new(
+        device,
+        &[
+            BindingDesc::new(0, vk::DescriptorType::UNIFORM_BUFFER, stages),
+            BindingDesc::new(1, vk::DescriptorType::STORAGE_BUFFER, vk::ShaderStageFlags::VERTEX),
+            BindingDesc::new(2, vk::DescriptorType::STORAGE_BUFFER, vk::ShaderStageFlags::FRAGMENT),
+        ],
+    )?)
+}
+
+fn upload_geometry(upload: &mut Upload, meshes: &Meshes) -> Result<Option<Geometry>, Error> {
+    if meshes.indices.is_empty() {
+        return Ok(None);
+    }
+    let mut stream = |name, data: &[f32]| -> Result<Option<Arc<Buffer>>, Error> {
+        if data.is_empty() {
+            return Ok(None);
+        }
+        Ok(Some(upload.buffer(name, data, vk::BufferUsageFlags::VERTEX_BUFFER)?))
+    };
+    let moving = stream("vertices", &meshes.moving)?;
+    let sticking = stream("vertex attributes", &meshes.sticking)?;
+    let indices = upload.buffer("indices", &meshes.indices, vk::BufferUsageFlags::INDEX_BUFFER)?;
+    Ok(Some(Geometry { moving, sticking, indices }))
+}

@@ -1,0 +1,303 @@
+//! `vergence render`: a picture of a scene, or how long pictures take.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use rustix::time::{ClockId, clock_gettime};
+use serde_json::json;
+use vergence_geom::View;
+use vergence_gpu::{Device, DeviceDesc, Instance, InstanceDesc};
+use vergence_render::{Offscreen, Quality, Renderer, Target};
+use vergence_scene::{Needs, Scene};
+use vergence_time::Span;
+
+use crate::failure::Failure;
+use crate::framing::{self, Framing};
+use crate::loading;
+
+/// Frames that are drawn before any is measured.
+const WARM_UP_FRAMES: u32 = 3;
+
+/// Draws a scene to a picture, or measures how long that takes
+#[derive(clap::Args)]
+pub struct Args {
+    /// A .glb, .gltf, .obj, .ply or scene .toml
+    scene: PathBuf,
+    /// Which eyes: both side by side, one of them, or the middle between them
+    #[arg(long, value_enum, default_value_t = Eye::Stereo)]
+    eye: Eye,
+    /// Where the head is, metres; default: the scene's start, its first camera, or where all of it is seen
+    #[arg(long, value_name = "X,Y,Z", value_parser = framing::point, allow_hyphen_values = true)]
+    eye_position: Option<nalgebra::Point3<f64>>,
+    /// What it looks at, metres; default: the middle of the scene
+    #[arg(long, value_name = "X,Y,Z", value_parser = framing::point, allow_hyphen_values = true)]
+    target: Option<nalgebra::Point3<f64>>,
+    /// Vertical field of view, degrees, between 0 and 180; default: the camera's, else 60
+    #[arg(long, value_name = "DEG")]
+    fov_y: Option<f64>,
+    /// Distance between the eyes, millimetres; default: 63, with --view three 64
+    #[arg(long, value_name = "MM")]
+    ipd: Option<f64>,
+    /// `three`: the cameras of the peer's benchmark (eyes ±32 mm, 60°), nothing animated
+    #[arg(long, value_enum, conflicts_with_all = ["eye_position", "target", "fov_y", "ipd"])]
+    view: Option<Preset>,
+    /// `scene`: the scene's (where it has none, one from the upper right and ambient light); `three`: those of the
+    /// peer's benchmark beside the scene's; `none`
+    #[arg(long, value_enum, default_value_t = Lights::Scene)]
+    lights: Lights,
+    /// Pixels of each eye's picture
+    #[arg(long, value_name = "WxH", value_parser = framing::size, default_value = "1024x1024")]
+    size: (u32, u32),
+    /// Samples per pixel for edges
+    #[arg(long, value_name = "N", default_value_t = Quality::default().msaa)]
+    msaa: u32,
+    /// Texture samples along the line of sight
+    #[arg(long, value_name = "N", default_value_t = Quality::default().anisotropy)]
+    anisotropy: f32,
+    /// Leaves normal maps out
+    #[arg(long)]
+    no_normal_maps: bool,
+    /// Time in the scene's animations, seconds
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    time: f64,
+    /// The picture (PNG)
+    #[arg(short, long, value_name = "FILE.png", required_unless_present = "json")]
+    output: Option<PathBuf>,
+    /// Frames to draw and measure, after three that are not
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    frames: u32,
+    /// Brings the pixels of every frame back to the host
+    #[arg(long)]
+    read_back: bool,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Turns Vulkan's validation layer on; any message is a failure
+    #[arg(long)]
+    validate: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Eye {
+    Stereo,
+    Left,
+    Right,
+    Mono,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Preset {
+    Three,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Lights {
+    Scene,
+    Three,
+    None,
+}
+
+/// Milliseconds per frame.
+struct Times {
+    wall_ms: Vec<f64>,
+    cpu_ms: Vec<f64>,
+    thread_ms: Vec<f64>,
+}
+
+impl Args {
+    /// Draws, measures, writes, prints.
+    pub fn run(self) -> Result<(), Failure> {
+        let scene = self.prepare()?;
+        let framing = self.frame(&scene)?;
+        let all =
+            framing.views(f64::from(self.size.0) / f64::from(self.size.1)).map_err(|e| Failure::call(&e))?;
+        let views: Vec<View> = match self.eye {
+            Eye::Stereo => all.to_vec(),
+            Eye::Left => vec![all[0]],
+            Eye::Right => vec![all[1]],
+            Eye::Mono => vec![framing.mono(&all)],
+        };
+        let quality = Quality {
+            msaa: self.msaa,
+            anisotropy: self.anisotropy,
+            normal_maps: !self.no_normal_maps,
+            near_m: framing.near_m,
+            // Pictures are drawn from exactly the views that they are culled for.
+            cull_margin_m: 0.0,
+            cull_margin_rad: 0.0,
+            ..Quality::default()
+        };
+        let desc = InstanceDesc { app_name: "vergence", validation: self.validate, surface: None };
+        let instance = Instance::new(&desc, None).map_err(|e| Failure::work(&e))?;
+        let device = Device::new(&instance, &DeviceDesc::default(), None).map_err(|e| Failure::work(&e))?;
+        quality.check(device.limits()).map_err(|e| Failure::call(&e))?;
+        let target = Target::new(self.size, views.len() as u32);
+        let needs = Needs::of(&scene, quality.normal_maps);
+        let renderer = Renderer::new(&device, &scene, &needs, &quality, &target, 1);
+        let mut renderer = renderer.map_err(|e| Failure::work(&e))?;
+        let mut offscreen = Offscreen::new(&device, &target, false).map_err(|e| Failure::work(&e))?;
+        let times =
+            self.draw(&device, &mut renderer, &mut offscreen, &views).map_err(|e| Failure::work(&e))?;
+        if let Some(path) = &self.output {
+            let pictures = offscreen.pictures().map_err(|e| Failure::work(&e))?;
+            write_png(path, self.size, &pictures)?;
+        }
+        let passes = renderer.timings(0).map_err(|e| Failure::work(&e))?;
+        let statistics = renderer.statistics();
+        let messages = device.validation_messages();
+        if !messages.is_empty() {
+            return Err(Failure::Work(format!("Vulkan validation: {}", messages.join("\n"))));
+        }
+        if self.json {
+            let summary = |times: &[f64]| json!({ "min": least(times), "median": median(times) });
+            let gpu: serde_json::Map<_, _> = passes.iter().map(|p| (p.name.into(), json!(p.ms))).collect();
+            println!(
+                "{}",
+                json!({
+                    "device": device.limits().name,
+                    "size": [self.size.0, self.size.1],
+                    "views": views.len(),
+                    "msaa": self.msaa,
+                    "anisotropy": self.anisotropy,
+                    "camera": framing.describe(),
+                    "triangles": statistics.triangles,
+                    "triangles_drawn": statistics.triangles_drawn,
+                    "draws": statistics.draws,
+                    "read_back": self.read_back,
+                    "frames": times.wall_ms.len(),
+                    "wall_ms": summary(&times.wall_ms),
+                    "cpu_ms": summary(&times.cpu_ms),
+                    "frame_thread_ms": summary(&times.thread_ms),
+                    "gpu_ms": gpu,
+                    "validated": self.validate,
+                })
+            );
+        } else {
+            println!(
+                "{}: {} × {}×{}, MSAA {}, anisotropy {}: {} triangles ({} drawn), {:.1} ms wall, {:.1} ms CPU per frame",
+                device.limits().name,
+                views.len(),
+                self.size.0,
+                self.size.1,
+                self.msaa,
+                self.anisotropy,
+                statistics.triangles,
+                statistics.triangles_drawn,
+                median(&times.wall_ms),
+                median(&times.cpu_ms)
+            );
+        }
+        Ok(())
+    }
+
+    /// The scene with the lights that were asked for.
+    fn prepare(&self) -> Result<Arc<Scene>, Failure> {
+        let mut scene = loading::scene(&self.scene)?;
+        match self.lights {
+            Lights::Scene => {
+                scene.light_if_dark();
+            }
+            Lights::Three => framing::add_bench_lights(&mut scene),
+            Lights::None => {
+                scene.ambient = [0.0; 3];
+                scene.nodes.iter_mut().for_each(|node| node.light = None);
+            }
+        }
+        if self.view.is_some() {
+            scene.animations.clear();
+        }
+        Ok(Arc::new(scene))
+    }
+
+    fn frame(&self, scene: &Scene) -> Result<Framing, Failure> {
+        let mut framing = match self.view {
+            Some(Preset::Three) => Framing::bench(scene, &self.scene),
+            None => Framing::of(scene),
+        };
+        if self.eye_position.is_some() || self.target.is_some() {
+            framing.look(self.eye_position, self.target, scene);
+        }
+        if let Some(fov_y) = self.fov_y {
+            framing.fov_y_rad = fov_y.to_radians();
+        }
+        if let Some(ipd_mm) = self.ipd {
+            if !(0.0..=1000.0).contains(&ipd_mm) {
+                return Err(Failure::Call(format!("--ipd: expected 0 to 1000 mm, found {ipd_mm}")));
+            }
+            framing.ipd_m = ipd_mm * 1e-3;
+        }
+        Ok(framing)
+    }
+
+    fn draw(
+        &self,
+        device: &Arc<Device>,
+        renderer: &mut Renderer,
+        offscreen: &mut Offscreen,
+        views: &[View],
+    ) -> Result<Times, vergence_render::Error> {
+        let time = Span::from_secs_f64(self.time).unwrap_or(Span::ZERO);
+        let measured = self.frames > 1 || self.json;
+        let warm_up = if measured { WARM_UP_FRAMES } else { 0 };
+        let mut times = Times { wall_ms: Vec::new(), cpu_ms: Vec::new(), thread_ms: Vec::new() };
+        vergence_gpu::set_driver_clock(measured);
+        for frame in 0..warm_up + self.frames.max(1) {
+            let (wall, cpu) = (Instant::now(), process_cpu_ms());
+            let (thread, driver) = (vergence_gpu::thread_cpu_ns(), vergence_gpu::driver_time());
+            renderer.begin(0, time, views, &offscreen.attachments())?;
+            renderer.latch(0, views)?;
+            let submission = renderer.submit(0)?;
+            let thread_ns = vergence_gpu::thread_cpu_ns() - thread;
+            let driver_ns = vergence_gpu::driver_time().ns - driver.ns;
+            if self.read_back {
+                offscreen.read(|pixels| std::hint::black_box(pixels.first().copied()))?;
+            } else {
+                device.wait(submission)?;
+            }
+            if frame >= warm_up {
+                times.wall_ms.push(wall.elapsed().as_secs_f64() * 1e3);
+                times.cpu_ms.push(process_cpu_ms() - cpu);
+                times.thread_ms.push(thread_ns.saturating_sub(driver_ns) as f64 * 1e-6);
+            }
+        }
+        Ok(times)
+    }
+}
+
+/// CPU time of all threads of this process.
+fn process_cpu_ms() -> f64 {
+    let t = clock_gettime(ClockId::ProcessCPUTime);
+    t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 * 1e-6
+}
+
+fn least(times: &[f64]) -> f64 {
+    times.iter().copied().fold(f64::INFINITY, f64::min)
+}
+
+fn median(times: &[f64]) -> f64 {
+    let mut sorted = times.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Writes pictures of one size side by side.
+fn write_png(path: &Path, size: (u32, u32), pictures: &[Vec<u8>]) -> Result<(), Failure> {
+    let fail = |error: &dyn std::fmt::Display| Failure::Work(format!("{}: {error}", path.display()));
+    let row = 4 * size.0 as usize;
+    let mut pixels = Vec::with_capacity(pictures.len() * row * size.1 as usize);
+    for y in 0..size.1 as usize {
+        for picture in pictures {
+            pixels.extend_from_slice(&picture[y * row..(y + 1) * row]);
+        }
+    }
+    let file = std::fs::File::create(path).map_err(|e| fail(&e))?;
+    let mut encoder =
+        png::Encoder::new(std::io::BufWriter::new(file), size.0 * pictures.len() as u32, size.1);
+    encoder.set_color(png::ColorType::Rgba);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    let mut writer = encoder.write_header().map_err(|e| fail(&e))?;
+    writer.write_image_data(&pixels).map_err(|e| fail(&e))?;
+    writer.finish().map_err(|e| fail(&e))
+}
