@@ -22,7 +22,10 @@ pub fn scene(path: &Path) -> Result<Scene, Failure> {
         bar.set_position(progress.done as u64);
     });
     bar.finish_and_clear();
-    let scene = loaded.map_err(|error| Failure::work(&error))?;
+    let mut scene = loaded.map_err(|error| Failure::work(&error))?;
+    if scene.light_if_dark() {
+        log::info!("the scene has no light: lit from above");
+    }
     for warning in &scene.warnings {
         log::warn!("{warning}");
     }

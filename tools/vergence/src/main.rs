@@ -10,9 +10,9 @@ mod framing;
 mod loading;
 mod logging;
 mod plan;
-#[allow(dead_code, reason = "for the verbs that draw")]
 mod quality;
 mod render;
+mod run;
 mod stream;
 
 use std::process::ExitCode;
@@ -37,6 +37,7 @@ enum Verb {
     Plan(plan::Args),
     Doctor(doctor::Args),
     Render(render::Args),
+    Run(Box<run::Args>),
 }
 
 impl Verb {
@@ -45,6 +46,7 @@ impl Verb {
             Self::Plan(verb) => verb.run(),
             Self::Doctor(verb) => verb.run(),
             Self::Render(verb) => verb.run(),
+            Self::Run(verb) => verb.run(),
         }
     }
 }

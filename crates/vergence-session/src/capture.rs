@@ -1,0 +1,183 @@
+//! Pictures of a run as files: stereo PNGs, the poses they were seen from, and the report.
+
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+
+use vergence_time::Timestamp;
+use vergence_xr_sim::ComposedFrame;
+
+use crate::config::CaptureConfig;
+use crate::error::Error;
+use crate::pose_log::{PoseLog, four, seven};
+use crate::report::RunReport;
+
+/// Runs of up to so many frames are captured in full where nothing else is said.
+const FULL_RUN: u64 = 300;
+/// Pictures that wait to be written; the frame loop waits beyond that.
+const QUEUE: usize = 4;
+
+/// One picture: both eyes.
+pub(crate) struct Picture {
+    pub(crate) frame: u64,
+    pub(crate) display: Timestamp,
+    pub(crate) size: (u32, u32),
+    /// Head pose in LOCAL, where it is known.
+    pub(crate) head: Option<[f64; 7]>,
+    /// For each eye: pose in LOCAL, angles, and 8-bit sRGB RGBA, rows from the top.
+    pub(crate) eyes: Vec<([f64; 7], [f64; 4], Vec<u8>)>,
+}
+
+/// Where pictures come in; shared with the simulated headset, which may outlive the run.
+struct Inlet {
+    every: u64,
+    /// The newest picture that was not written, in case it is the last one.
+    newest: Option<Picture>,
+    /// `None` once the run is over: the writer then ends.
+    send: Option<SyncSender<Picture>>,
+}
+
+/// Writes pictures on a thread of its own.
+pub(crate) struct Capture {
+    dir: PathBuf,
+    every: u64,
+    inlet: Arc<Mutex<Inlet>>,
+    writer: Option<JoinHandle<Result<Vec<String>, Error>>>,
+}
+
+impl Capture {
+    /// Makes the folder; `frames` is how long the run will be, where that is known.
+    pub(crate) fn start(config: &CaptureConfig, frames: Option<u64>) -> Result<Self, Error> {
+        let dir = config.dir.clone();
+        std::fs::create_dir_all(&dir).map_err(Error::write(&dir))?;
+        let every = match config.every {
+            Some(0) => return Err(Error::Call("--capture-every: expected 1 or more, found 0".into())),
+            Some(every) => every,
+            None if frames.is_some_and(|frames| frames <= FULL_RUN) => 1,
+            // The first; the last comes from `newest`.
+            None => u64::MAX,
+        };
+        let (send, receive) = sync_channel(QUEUE);
+        let poses = PoseLog::create(&dir.join("poses.jsonl"))?;
+        let folder = dir.clone();
+        let writer = std::thread::Builder::new()
+            .name("capture".into())
+            .spawn(move || write_all(&folder, poses, &receive))
+            .map_err(Error::write(&dir))?;
+        let inlet = Inlet { every, newest: None, send: Some(send) };
+        Ok(Self { dir, every, inlet: Arc::new(Mutex::new(inlet)), writer: Some(writer) })
+    }
+
+    /// Whether the frame's picture is one that is written for certain.
+    pub(crate) fn wants(&self, frame: u64) -> bool {
+        frame.is_multiple_of(self.every)
+    }
+
+    /// Takes a picture.
+    pub(crate) fn take(&self, picture: Picture) {
+        self.inlet.lock().unwrap_or_else(PoisonError::into_inner).take(picture);
+    }
+
+    /// What the simulated headset gives its composed pictures to.
+    pub(crate) fn of_composed_pictures(&self) -> vergence_xr_sim::Capture {
+        let inlet = Arc::clone(&self.inlet);
+        vergence_xr_sim::Capture::new(move |composed| {
+            inlet.lock().unwrap_or_else(PoisonError::into_inner).take(picture_of(composed));
+        })
+    }
+
+    /// Waits until everything is written and gives the names of the pictures.
+    pub(crate) fn finish(&mut self) -> Result<Vec<String>, Error> {
+        self.inlet.lock().unwrap_or_else(PoisonError::into_inner).close();
+        match self.writer.take().map(JoinHandle::join) {
+            Some(Ok(written)) => written,
+            // The writer has no code that panics; if it does, there are no pictures.
+            Some(Err(_)) => Err(Error::Call("the thread that writes pictures ended early".into())),
+            None => Ok(Vec::new()),
+        }
+    }
+
+    /// Writes the report beside the pictures.
+    pub(crate) fn write_summary(&self, report: &RunReport) -> Result<(), Error> {
+        let path = self.dir.join("summary.json");
+        let text = serde_json::to_string_pretty(report)
+            .map_err(|error| Error::Write { path: path.clone(), source: std::io::Error::other(error) })?;
+        std::fs::write(&path, text + "\n").map_err(Error::write(&path))
+    }
+}
+
+impl Inlet {
+    fn take(&mut self, picture: Picture) {
+        if picture.frame.is_multiple_of(self.every) {
+            self.newest = None;
+            if let Some(send) = &self.send {
+                // The writer is gone only where it failed, which `finish` says.
+                let _ = send.send(picture);
+            }
+        } else {
+            self.newest = Some(picture);
+        }
+    }
+
+    fn close(&mut self) {
+        if let (Some(last), Some(send)) = (self.newest.take(), self.send.take()) {
+            // As above.
+            let _ = send.send(last);
+        }
+        self.send = None;
+    }
+}
+
+fn picture_of(composed: ComposedFrame) -> Picture {
+    Picture {
+        frame: composed.number,
+        display: composed.display_time,
+        size: composed.size,
+        head: Some(seven(&composed.local_from_head)),
+        eyes: composed
+            .eyes
+            .into_iter()
+            .map(|eye| (seven(&eye.view_in_local.world_from_eye), four(&eye.view_in_local), eye.rgba))
+            .collect(),
+    }
+}
+
+fn write_all(dir: &Path, mut poses: PoseLog, pictures: &Receiver<Picture>) -> Result<Vec<String>, Error> {
+    let mut names = Vec::new();
+    for picture in pictures {
+        let name = format!("frame-{:06}.png", picture.frame);
+        let path = dir.join(&name);
+        write_stereo(&path, &picture).map_err(Error::write(&path))?;
+        let eyes = picture.eyes.iter().map(|(pose, fov, _)| (*pose, *fov));
+        poses.write(picture.frame, picture.display, picture.head, eyes)?;
+        names.push(name);
+    }
+    poses.finish()?;
+    Ok(names)
+}
+
+/// The eyes side by side, left eye left.
+fn write_stereo(path: &Path, picture: &Picture) -> std::io::Result<()> {
+    let (width, height) = picture.size;
+    let row_bytes = 4 * width as usize;
+    let mut rgba = Vec::with_capacity(row_bytes * height as usize * picture.eyes.len());
+    for row in 0..height as usize {
+        for (_, _, eye) in &picture.eyes {
+            let rows = eye.get(row * row_bytes..(row + 1) * row_bytes);
+            rgba.extend_from_slice(
+                rows.ok_or_else(|| std::io::Error::other("a picture is smaller than its size says"))?,
+            );
+        }
+    }
+    let eyes = u32::try_from(picture.eyes.len()).unwrap_or(1);
+    let mut encoder = png::Encoder::new(BufWriter::new(std::fs::File::create(path)?), eyes * width, height);
+    encoder.set_color(png::ColorType::Rgba);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    encoder.set_compression(png::Compression::Fast);
+    let mut writer = encoder.write_header().map_err(std::io::Error::other)?;
+    writer.write_image_data(&rgba).map_err(std::io::Error::other)?;
+    writer.finish().map_err(std::io::Error::other)
+}

@@ -1,0 +1,92 @@
+use std::path::PathBuf;
+
+use vergence_render::Quality;
+
+/// Which headset to show the scene on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum HeadsetChoice {
+    /// A real runtime where the loader finds one with a headset, else the simulated one.
+    #[default]
+    Auto,
+    /// The system's OpenXR runtime.
+    OpenXr,
+    /// The simulated one.
+    Simulated,
+}
+
+/// Pictures of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CaptureConfig {
+    /// Folder; made where it is missing.
+    pub dir: PathBuf,
+    /// Every how many frames a picture is written. `None`: each one of runs of up to 300 frames, else the first and the
+    /// last one.
+    pub every: Option<u64>,
+}
+
+/// What to run, where, for how long, and what to write down.
+#[derive(Clone, Debug)]
+pub struct RunConfig {
+    /// Which headset.
+    pub headset: HeadsetChoice,
+    /// Of the simulated headset: a built-in profile or a file; `None`: the default one.
+    pub profile: Option<String>,
+    /// Of the simulated headset: `still`, a built-in motion or a file; `None`: still.
+    pub motion: Option<String>,
+    /// Of the simulated headset: distance between the eyes, metres; `None`: as the profile says.
+    pub ipd_m: Option<f64>,
+    /// The simulated headset keeps to the wall clock instead of running as fast as it can.
+    pub real_time: bool,
+    /// Ends after so many frames were shown.
+    pub frames: Option<u64>,
+    /// Ends after so many seconds of session time.
+    pub seconds: Option<f64>,
+    /// How long to wait for a runtime and a headset that are not there yet, seconds. Default 0.
+    pub wait_s: f64,
+    /// How long no frame may be shown before the run gives up, seconds of the host's clock. Default 60; a headset that
+    /// nobody wears shows none.
+    pub patience_s: f64,
+    /// How often a lost session is asked for anew. Default 3.
+    pub retries: u32,
+    /// The renderer's knobs.
+    pub quality: Quality,
+    /// Pictures, poses and the report as files.
+    pub capture: Option<CaptureConfig>,
+    /// Where every frame's located poses are written, a JSON object per line.
+    pub log_poses: Option<PathBuf>,
+    /// Reads the joints of both hands.
+    pub hand_joints: bool,
+    /// Reads where the user looks.
+    pub eye_gaze: bool,
+    /// The display's rate, where it can be chosen, Hz.
+    pub refresh_rate_hz: Option<f32>,
+    /// Vulkan validation with synchronization validation, where it is installed; its messages are counted in the report.
+    pub validation: bool,
+    /// A hand on the simulated headset, for tests: recentring, taking it off, losing the session.
+    pub control: vergence_xr_sim::Control,
+}
+
+impl Default for RunConfig {
+    fn default() -> Self {
+        Self {
+            headset: HeadsetChoice::Auto,
+            profile: None,
+            motion: None,
+            ipd_m: None,
+            real_time: false,
+            frames: None,
+            seconds: None,
+            wait_s: 0.0,
+            patience_s: 60.0,
+            retries: 3,
+            quality: Quality::default(),
+            capture: None,
+            log_poses: None,
+            hand_joints: false,
+            eye_gaze: false,
+            refresh_rate_hz: None,
+            validation: false,
+            control: vergence_xr_sim::Control::default(),
+        }
+    }
+}

@@ -1,0 +1,56 @@
+use std::path::PathBuf;
+
+/// Why a scene could not be run.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// What was asked for cannot be done here, or makes no sense.
+    #[error("{0}")]
+    Call(String),
+    /// No headset, or no longer.
+    #[error(transparent)]
+    Headset(#[from] vergence_xr::Error),
+    /// The simulated headset cannot be so.
+    #[error(transparent)]
+    Simulated(#[from] vergence_xr_sim::Error),
+    /// The scene cannot be drawn.
+    #[error(transparent)]
+    Render(#[from] vergence_render::Error),
+    /// Vulkan failed.
+    #[error(transparent)]
+    Gpu(#[from] vergence_gpu::Error),
+    /// A result could not be written.
+    #[error("{path}: {source}")]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Nothing has happened for too long.
+    #[error("no frame was shown for {waited_s} s ({state}); giving up")]
+    Stalled {
+        /// Seconds.
+        waited_s: u64,
+        /// What the headset was doing.
+        state: &'static str,
+    },
+}
+
+impl Error {
+    /// Whether the call was wrong, or asks for what this machine cannot give (exit status 2), rather than the work
+    /// having failed.
+    pub const fn is_wrong_call(&self) -> bool {
+        matches!(
+            self,
+            Self::Call(_)
+                | Self::Simulated(_)
+                | Self::Render(vergence_render::Error::Range { .. })
+                | Self::Render(vergence_render::Error::Gpu(vergence_gpu::Error::Unsupported { .. }))
+                | Self::Gpu(vergence_gpu::Error::Unsupported { .. })
+        )
+    }
+
+    pub(crate) fn write(path: &std::path::Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        move |source| Self::Write { path: path.to_owned(), source }
+    }
+}

@@ -1,0 +1,359 @@
+//! One session: device, client, renderer, and the loop wait, begin, locate, cull, record, locate again, latch, submit, end.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use vergence_geom::{Rigid, View};
+use vergence_gpu as gpu;
+use vergence_render::{Attachments, Renderer, Target};
+use vergence_sense::Hand;
+use vergence_time::{Span, Timestamp};
+use vergence_xr::{Client, Frame, Located, Notice, SessionDesc, State, in_world};
+
+use crate::capture::Picture;
+use crate::error::Error;
+use crate::headset::Chosen;
+use crate::place;
+use crate::report::PassReport;
+use crate::run::{Happening, Run};
+use crate::touch::Touching;
+
+/// The CPU records one frame while the GPU draws the one before.
+const FRAMES_IN_FLIGHT: usize = 2;
+/// How long a runtime may take from the request to end until it says that the session is over.
+const FAREWELL: Duration = Duration::from_secs(5);
+/// How often a session that shows nothing is asked whether it does now.
+const IDLE_POLL: Duration = Duration::from_millis(2);
+
+/// How a session ended.
+pub(crate) enum End {
+    /// As it should, in this state.
+    Over(State),
+    /// It was lost; a new one may be asked for.
+    Lost(String),
+}
+
+/// What a session keeps from frame to frame.
+struct Session {
+    // Fields are dropped in this order: what uses the runtime's images before the client, the client before the device.
+    renderer: Renderer,
+    read_back: Option<gpu::ReadBack>,
+    client: Client,
+    device: Arc<gpu::Device>,
+    touching: Option<Touching>,
+    is_simulated: bool,
+    world_from_start: Rigid,
+    /// Walked by thumbstick, world coordinates.
+    walked: nalgebra::Vector3<f64>,
+    /// `None` until the floor is known, and after the origin has moved.
+    world_from_local: Option<Rigid>,
+    views: Vec<View>,
+    slot: usize,
+    first_display: Option<Timestamp>,
+}
+
+/// CPU time of this thread that is ours: neither the driver's nor the runtime's.
+#[derive(Clone, Copy)]
+struct OurCpu {
+    thread_ns: u64,
+    driver_ns: u64,
+    runtime_ns: i64,
+}
+
+impl OurCpu {
+    fn now(client: &Client) -> Self {
+        Self {
+            thread_ns: gpu::thread_cpu_ns(),
+            driver_ns: gpu::driver_time().ns,
+            runtime_ns: client.runtime_cpu().as_nanos(),
+        }
+    }
+
+    fn since(self, start: Self) -> Span {
+        let thread = self.thread_ns.saturating_sub(start.thread_ns);
+        let driver = self.driver_ns.saturating_sub(start.driver_ns);
+        let runtime = u64::try_from(self.runtime_ns - start.runtime_ns).unwrap_or(0);
+        let ours = thread.saturating_sub(driver).saturating_sub(runtime);
+        Span::from_nanos(i64::try_from(ours).unwrap_or(i64::MAX))
+    }
+}
+
+/// Runs one session to its end.
+pub(crate) fn play(run: &mut Run<'_>, chosen: &Chosen) -> Result<End, Error> {
+    let mut session = start(run, chosen)?;
+    let ended = frames(run, &mut session);
+    if let Err(error) = session.device.wait_idle() {
+        log::warn!("{error}");
+    }
+    let last_slot = (session.slot + FRAMES_IN_FLIGHT - 1) % FRAMES_IN_FLIGHT;
+    let passes = session.renderer.timings(last_slot).unwrap_or_default();
+    run.report.gpu_ms =
+        passes.iter().map(|pass| PassReport { name: pass.name.to_owned(), ms: pass.ms }).collect();
+    run.report.hands = Hand::BOTH.map(|hand| session.client.device_in(hand));
+    if run.config.validation && session.device.instance().validation() {
+        let count = session.device.instance().validation_count();
+        run.report.validation_messages = Some(run.report.validation_messages.unwrap_or(0) + count);
+    }
+    run.report.touches.extend(session.touching.take().map(Touching::into_touches).unwrap_or_default());
+    ended
+}
+
+fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
+    let mut creator = chosen.connection.vulkan_creator();
+    let validation = run.config.validation;
+    let desc = gpu::InstanceDesc { app_name: "vergence", validation, surface: None };
+    let instance = gpu::Instance::new(&desc, Some(&mut creator))?;
+    let device = gpu::Device::new(&instance, &gpu::DeviceDesc::default(), Some(&mut creator))?;
+    gpu::set_driver_clock(true);
+    run.config.quality.check(device.limits())?;
+
+    let mut client = Client::new(
+        &chosen.connection,
+        &device,
+        &SessionDesc {
+            near_m: run.config.quality.near_m,
+            render_scale: run.config.quality.render_scale,
+            actions: &run.plan.actions,
+            hand_joints: run.config.hand_joints,
+            eye_gaze: run.config.eye_gaze,
+            refresh_rate_hz: run.config.refresh_rate_hz,
+        },
+    )?;
+    let pictures = client.pictures();
+    let target = Target {
+        color_format: pictures.color_format,
+        depth_format: pictures.depth_format.unwrap_or(gpu::vk::Format::D32_SFLOAT),
+        size: pictures.size,
+        views: pictures.views,
+    };
+    let mut renderer =
+        Renderer::new(&device, &run.scene, &run.plan.needs, &run.config.quality, &target, FRAMES_IN_FLIGHT)?;
+    let masked = mask(&mut client, &mut renderer)?;
+
+    let report = &mut run.report;
+    report.device = format!("{} ({})", device.limits().name, device.limits().driver);
+    report.size = pictures.size;
+    report.views = pictures.views;
+    report.msaa = run.config.quality.msaa;
+    report.depth_layer = pictures.depth_format.is_some();
+    report.visibility_mask = masked;
+    report.refresh_hz = client.refresh_rate_hz();
+    report.extensions = chosen.connection.extensions().to_vec();
+    report.profiles = client.accepted_profiles().iter().map(|&name| name.to_owned()).collect();
+    if client.has_actions() {
+        report.actions = run.plan.actions.actions.iter().map(|action| action.name.to_owned()).collect();
+    }
+    Ok(Session {
+        touching: Touching::new(&run.scene, &client),
+        renderer,
+        read_back: None,
+        client,
+        device,
+        is_simulated: chosen.is_simulated,
+        world_from_start: place::start_of(&run.scene),
+        walked: nalgebra::Vector3::zeros(),
+        world_from_local: None,
+        views: Vec::with_capacity(Located::MOST_VIEWS),
+        slot: 0,
+        first_display: None,
+    })
+}
+
+/// Tells the renderer what the lenses hide; whether they hide anything.
+fn mask(client: &mut Client, renderer: &mut Renderer) -> Result<bool, Error> {
+    let areas: Vec<(Vec<[f32; 2]>, Vec<u32>)> =
+        client.hidden_areas()?.into_iter().map(|area| (area.vertices, area.indices)).collect();
+    let hides = areas.iter().any(|(_, indices)| !indices.is_empty());
+    if hides {
+        renderer.visibility_mask(&areas)?;
+    }
+    Ok(hides)
+}
+
+/// The loop, until the run or the session is over.
+fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
+    let patience = Duration::try_from_secs_f64(run.config.patience_s).unwrap_or(Duration::MAX);
+    let mut last_shown = Instant::now();
+    let mut leaving: Option<Instant> = None;
+    loop {
+        let began = OurCpu::now(&session.client);
+        let state = session.client.poll()?;
+        attend(run, session)?;
+        match state {
+            State::Running { .. } => {
+                if frame(run, session, began, leaving.is_some())? {
+                    last_shown = Instant::now();
+                }
+            }
+            State::Lost { .. } => return Ok(End::Lost(State::Lost { retry: true }.sentence().to_owned())),
+            State::Exiting => return Ok(End::Over(state)),
+            State::Idle | State::Flat | State::WaitingForRuntime => {
+                run.tally.pause();
+                std::thread::sleep(IDLE_POLL);
+            }
+        }
+        if leaving.is_none() && is_over(run) {
+            session.client.request_exit()?;
+            leaving = Some(Instant::now());
+        }
+        if leaving.is_some_and(|since| since.elapsed() > FAREWELL) {
+            run.say("the runtime did not end the session in time; leaving without its answer");
+            return Ok(End::Over(session.client.state()));
+        }
+        if last_shown.elapsed() > patience {
+            return Err(Error::Stalled {
+                waited_s: patience.as_secs(),
+                state: session.client.state().sentence(),
+            });
+        }
+    }
+}
+
+fn is_over(run: &Run<'_>) -> bool {
+    run.config.frames.is_some_and(|frames| run.tally.frames >= frames)
+        || run.config.seconds.is_some_and(|seconds| run.tally.elapsed().as_secs_f64() >= seconds)
+}
+
+/// Says what has happened, and follows it.
+fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
+    let mut mask_changed = false;
+    let Session { client, world_from_local, .. } = session;
+    for notice in client.drain_notices() {
+        match notice {
+            Notice::State(state) => run.report.states.push(state.name().to_owned()),
+            Notice::Recentred { .. } => *world_from_local = None,
+            Notice::HiddenAreaChanged => mask_changed = true,
+            Notice::HandsChanged | Notice::RefreshRate { .. } | Notice::Time(_) | Notice::EventsLost(_) => {}
+        }
+        run.say(&notice.to_string());
+    }
+    if mask_changed {
+        session.device.wait_idle()?;
+        run.report.visibility_mask = mask(&mut session.client, &mut session.renderer)?;
+    }
+    Ok(())
+}
+
+/// One frame; whether it was shown.
+fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool) -> Result<bool, Error> {
+    let frame = session.client.wait()?;
+    session.client.begin()?;
+    let display = frame.prediction.display;
+    let first_look = if frame.should_render && !leaving { session.client.locate(display)? } else { None };
+    let Some(culled) = first_look else {
+        session.client.end(&frame, None)?;
+        return Ok(false);
+    };
+    session.client.sync_input(display)?;
+    let head = session.client.locate_head(display)?.reference_from_device();
+    let world_from_local = follow_user(run, session, &frame, head.as_ref())?;
+
+    let images = session.client.acquire()?;
+    let attachments = Attachments::swapchain(&images.color, images.depth.as_ref());
+    let first_display = *session.first_display.get_or_insert(display);
+    let animation_time = display.since(first_display).unwrap_or(Span::ZERO);
+    see(&mut session.views, &world_from_local, &culled);
+    session.renderer.begin(session.slot, animation_time, &session.views, &attachments)?;
+
+    let asked = Instant::now();
+    let shown = session.client.locate(display)?.unwrap_or(culled);
+    see(&mut session.views, &world_from_local, &shown);
+    session.renderer.latch(session.slot, &session.views)?;
+    session.renderer.submit(session.slot)?;
+    let pose_age = asked.elapsed();
+    session.slot = (session.slot + 1) % FRAMES_IN_FLIGHT;
+
+    let drawn = OurCpu::now(&session.client);
+    photograph(run, session, &frame, &shown, head.as_ref(), &images)?;
+    let photographed = OurCpu::now(&session.client);
+    session.client.end(&frame, Some(&shown))?;
+    let ended = OurCpu::now(&session.client);
+    // Taking pictures is not part of a frame.
+    let ours = drawn.since(began).as_nanos() + ended.since(photographed).as_nanos();
+
+    let number = run.tally.frames;
+    run.tally.shown(display, frame.prediction.period);
+    run.tally.frame_cpu.add(Span::from_nanos(ours));
+    run.tally.pose_age.add(Span::from_nanos(i64::try_from(pose_age.as_nanos()).unwrap_or(i64::MAX)));
+    if let Some(log) = &mut run.pose_log {
+        let eyes = (0..shown.views().len()).filter_map(|view| shown.as_said(view));
+        let head = head.as_ref().map(crate::pose_log::seven);
+        log.write(number, display, head, eyes.map(|(pose, fov)| (pose.map(f64::from), fov.map(f64::from))))?;
+    }
+    (run.watch)(Happening::Frame { shown: run.tally.frames, seconds: run.tally.elapsed().as_secs_f64() });
+    Ok(true)
+}
+
+/// The located eyes in world coordinates.
+fn see(views: &mut Vec<View>, world_from_local: &Rigid, located: &Located) {
+    views.clear();
+    views.extend_from_slice(located.views());
+    in_world(world_from_local, located, views);
+}
+
+/// Where LOCAL is in the world now: at the scene's start, and as far as the user has walked.
+fn follow_user(
+    run: &mut Run<'_>,
+    session: &mut Session,
+    frame: &Frame,
+    head: Option<&Rigid>,
+) -> Result<Rigid, Error> {
+    let placed = match session.world_from_local {
+        Some(placed) => placed,
+        None => {
+            let local_from_floor = session.client.local_from_floor(frame.prediction.display)?;
+            place::world_from_local(&session.world_from_start, &local_from_floor)
+        }
+    };
+    session.world_from_local = Some(placed);
+    let world_from_local = nalgebra::Translation3::from(session.walked) * placed;
+    if let Some(touching) = &mut session.touching {
+        let period = frame.prediction.period;
+        session.walked +=
+            touching.follow(&mut session.client, &world_from_local, head, run.tally.frames, period)?;
+    }
+    Ok(nalgebra::Translation3::from(session.walked) * placed)
+}
+
+/// Takes a picture of what was drawn; the simulated headset takes them of what it composes.
+fn photograph(
+    run: &Run<'_>,
+    session: &mut Session,
+    frame: &Frame,
+    shown: &Located,
+    head: Option<&Rigid>,
+    images: &vergence_xr::Attachments,
+) -> Result<(), Error> {
+    let Some(capture) = run.capture.as_ref().filter(|_| !session.is_simulated) else { return Ok(()) };
+    let number = run.tally.frames;
+    let seconds_left = run.config.seconds.map(|s| s - run.tally.elapsed().as_secs_f64());
+    let is_last = run.config.frames == Some(number + 1)
+        || seconds_left.is_some_and(|left| left <= 1.5 * frame.prediction.period.as_secs_f64());
+    if !(capture.wants(number) || is_last) {
+        return Ok(());
+    }
+    let Session { read_back, device, .. } = session;
+    let reader = match read_back {
+        Some(reader) => reader,
+        None => read_back.insert(gpu::ReadBack::new(device)?),
+    };
+    let image = images.color.image();
+    let mut eyes = Vec::with_capacity(shown.views().len());
+    for view in 0..shown.views().len() {
+        let Some((pose, fov)) = shown.as_said(view) else { continue };
+        let mut rgba = Vec::new();
+        reader.layer(image, view as u32, gpu::Use::ColorAttachment, &mut rgba)?;
+        if image.format() == gpu::vk::Format::B8G8R8A8_SRGB {
+            rgba.chunks_exact_mut(4).for_each(|pixel| pixel.swap(0, 2));
+        }
+        eyes.push((pose.map(f64::from), fov.map(f64::from), rgba));
+    }
+    capture.take(Picture {
+        frame: number,
+        display: frame.prediction.display,
+        size: image.size(0),
+        head: head.map(crate::pose_log::seven),
+        eyes,
+    });
+    Ok(())
+}

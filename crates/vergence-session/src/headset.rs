@@ -1,0 +1,115 @@
+//! Which headset: the real one where there is one, else the simulated one.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use vergence_plan::Plan;
+use vergence_xr::{Connection, EmbeddedRuntime, State, Way};
+use vergence_xr_sim::{ClockMode, Config, Motion, PoseProvider, Profile, Runtime, Still};
+
+use crate::capture::Capture;
+use crate::config::{HeadsetChoice, RunConfig};
+use crate::error::Error;
+
+const APP_NAME: &str = "vergence";
+
+/// A headset that was found.
+pub(crate) struct Chosen {
+    pub(crate) connection: Arc<Connection>,
+    pub(crate) is_simulated: bool,
+    /// Why this one, for people.
+    pub(crate) why: String,
+}
+
+/// Finds the headset that the configuration asks for, waiting for it as long as that says.
+pub(crate) fn choose(
+    config: &RunConfig,
+    plan: &Plan,
+    capture: Option<&Capture>,
+    say: &mut dyn FnMut(&str),
+) -> Result<Chosen, Error> {
+    match config.headset {
+        HeadsetChoice::Simulated => simulated(config, plan, capture, "asked for".into()),
+        HeadsetChoice::OpenXr => {
+            let connection = wait_for_real(config, plan, say)?;
+            real(config, connection, "asked for".into())
+        }
+        HeadsetChoice::Auto => match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
+            Ok(connection) => real(config, connection, "a runtime with a headset was found".into()),
+            Err(error) => simulated(config, plan, capture, format!("no real one: {error}")),
+        },
+    }
+}
+
+/// Tries until there is a headset or the time is up.
+fn wait_for_real(config: &RunConfig, plan: &Plan, say: &mut dyn FnMut(&str)) -> Result<Connection, Error> {
+    let until = Instant::now() + Duration::try_from_secs_f64(config.wait_s).unwrap_or_default();
+    let mut said = false;
+    loop {
+        match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
+            Ok(connection) => return Ok(connection),
+            Err(error) if error.state() == State::WaitingForRuntime && Instant::now() < until => {
+                if !std::mem::replace(&mut said, true) {
+                    say(&format!("{error}; waiting {:.0} s for it", config.wait_s));
+                }
+                std::thread::sleep(Duration::from_millis(500));
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+}
+
+fn real(config: &RunConfig, connection: Connection, why: String) -> Result<Chosen, Error> {
+    let refused = [
+        ("--ipd", config.ipd_m.is_some(), "the eye poses are the user's own"),
+        ("--motion", config.motion.is_some(), "the user moves the head"),
+        ("--profile", config.profile.is_some(), "the headset is what it is"),
+    ];
+    if let Some((option, _, reason)) = refused.iter().find(|(_, given, _)| *given) {
+        let runtime = &connection.description().runtime;
+        return Err(Error::Call(format!(
+            "{option} is for the simulated headset, found a real runtime ({runtime}): {reason}; leave it out, or ask \
+             for --headset simulated"
+        )));
+    }
+    Ok(Chosen { connection: Arc::new(connection), is_simulated: false, why })
+}
+
+fn simulated(
+    config: &RunConfig,
+    plan: &Plan,
+    capture: Option<&Capture>,
+    why: String,
+) -> Result<Chosen, Error> {
+    let mut profile = match &config.profile {
+        Some(name) => Profile::open(name)?,
+        None => Profile::default(),
+    };
+    if let Some(ipd_m) = config.ipd_m {
+        if !(0.0..=1.0).contains(&ipd_m) {
+            return Err(Error::Call(format!("--ipd: expected 0 to 1000 mm, found {} mm", ipd_m * 1e3)));
+        }
+        profile = profile.with_ipd(ipd_m);
+    }
+    let motion: Box<dyn PoseProvider> = match config.motion.as_deref() {
+        None | Some("still") => Box::new(Still::default()),
+        Some(name) => Box::new(Motion::open(name)?),
+    };
+    Runtime::configure(Config {
+        profile,
+        motion,
+        clock: if config.real_time { ClockMode::RealTime } else { ClockMode::Virtual },
+        frames: None,
+        capture: capture.map(Capture::of_composed_pictures),
+        render: true,
+        control: config.control.clone(),
+    });
+    let connection = Connection::open(Way::Embedded(embedded()), APP_NAME, &plan.extensions)?;
+    Ok(Chosen { connection: Arc::new(connection), is_simulated: true, why })
+}
+
+#[allow(unsafe_code)]
+fn embedded() -> EmbeddedRuntime {
+    // SAFETY: our own runtime conforms: it resolves every core name to a function that checks its arguments.
+    unsafe { EmbeddedRuntime::new(vergence_xr_sim::get_instance_proc_addr) }
+}

@@ -1,0 +1,92 @@
+//! Where the user stands in the scene.
+
+use nalgebra::UnitQuaternion;
+use vergence_geom::Rigid;
+use vergence_scene::Scene;
+
+/// Height of the eyes over the floor for whom a scene without a start is arranged, metres.
+const EYE_HEIGHT_M: f64 = 1.6;
+/// A scene this high or higher is something to stand in; a lower one is put before the eyes.
+const ROOM_HEIGHT_M: f64 = 2.2;
+/// How far inside of a room, as a part of its depth.
+const INSIDE: f64 = 0.15;
+/// Nearest and farthest distance from the front of the scene, metres.
+const DISTANCE_M: (f64, f64) = (0.6, 3.0);
+
+/// The user's floor origin in world coordinates (y up, −z ahead): the scene's own start; else, where the scene is as
+/// high as a room, inside of it, near its front (+z) and on its lowest point; else in front of it, so that its middle is
+/// before the eyes.
+pub fn start_of(scene: &Scene) -> Rigid {
+    if let Some(world_from_start) = scene.world_from_start {
+        return world_from_start;
+    }
+    let bounds = scene.bounds();
+    if bounds.is_empty() {
+        return Rigid::identity();
+    }
+    let centre = bounds.centre();
+    let size = bounds.max - bounds.min;
+    let (floor_m, ahead_m) = if size.y >= ROOM_HEIGHT_M {
+        (bounds.min.y, -INSIDE * size.z)
+    } else {
+        (centre.y - (EYE_HEIGHT_M - 0.2), size.x.max(size.y).clamp(DISTANCE_M.0, DISTANCE_M.1))
+    };
+    Rigid::from_parts(
+        nalgebra::Translation3::new(centre.x, floor_m, bounds.max.z + ahead_m),
+        UnitQuaternion::identity(),
+    )
+}
+
+/// Where LOCAL's origin is in the world, when its floor is at `local_from_floor`.
+pub(crate) fn world_from_local(world_from_start: &Rigid, local_from_floor: &Rigid) -> Rigid {
+    // At the start, the user's floor origin is the scene's start.
+    world_from_start * local_from_floor.inverse()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vergence_geom::Affine;
+    use vergence_scene::model::{Local, Mesh, Node, Primitive};
+
+    fn boxed(min: [f32; 3], max: [f32; 3]) -> Scene {
+        let node = Node {
+            name: String::new(),
+            parent: None,
+            parent_from_node: Local::Matrix(Affine::identity()),
+            mesh: Some(0),
+            skin: None,
+            light: None,
+            camera: None,
+            label: None,
+        };
+        let primitive = Primitive { positions: vec![min, max], ..Primitive::default() };
+        Scene {
+            nodes: vec![node],
+            meshes: vec![Mesh { name: String::new(), primitives: vec![primitive] }],
+            ..Scene::default()
+        }
+    }
+
+    #[test]
+    fn a_scene_without_a_start_is_before_the_user() {
+        let thing = start_of(&boxed([9.5, -0.5, -0.5], [10.5, 0.5, 0.5]));
+        assert_eq!((thing.translation.x, thing.translation.z), (10.0, 1.5));
+        let eyes_above_middle_m = thing.translation.y + EYE_HEIGHT_M;
+        assert!((0.0..0.5).contains(&eyes_above_middle_m), "{eyes_above_middle_m}");
+        let room = start_of(&boxed([-20.0, -1.0, -20.0], [20.0, 9.0, 20.0]));
+        assert_eq!((room.translation.y, room.translation.z), (-1.0, 14.0));
+        assert_eq!(start_of(&Scene::default()), Rigid::identity());
+    }
+
+    #[test]
+    fn the_users_floor_is_the_scenes_start() {
+        let start = Rigid::from_parts(
+            nalgebra::Translation3::new(1.0, 2.0, 3.0),
+            UnitQuaternion::from_euler_angles(0.0, 1.0, 0.0),
+        );
+        let local_from_floor = Rigid::translation(0.0, -1.7, 0.0);
+        let world_from_floor = world_from_local(&start, &local_from_floor) * local_from_floor;
+        assert!((world_from_floor.translation.vector - start.translation.vector).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,138 @@
+//! What a run was like, for people and for other programs.
+
+use serde::Serialize;
+
+/// Percentiles of something that is measured once per frame, milliseconds. Zero where nothing was measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Milliseconds {
+    /// Half of the frames took less.
+    pub p50: f64,
+    /// 19 of 20 took less.
+    pub p95: f64,
+    /// 99 of 100 took less.
+    pub p99: f64,
+    /// The longest.
+    pub max: f64,
+}
+
+/// GPU time of one pass.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PassReport {
+    /// The pass.
+    pub name: String,
+    /// Milliseconds, of the last frame that was measured.
+    pub ms: f64,
+}
+
+/// Something was pointed at or taken.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Touch {
+    /// Frame, counted from 0.
+    pub frame: u64,
+    /// `left` or `right`.
+    pub hand: &'static str,
+    /// `pointed`, `grabbed` or `released`.
+    pub what: &'static str,
+    /// Name of what was touched.
+    pub name: String,
+}
+
+/// What a run was like. Its JSON is an interface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct RunReport {
+    /// `openxr` or `simulated`, and its name.
+    pub headset: String,
+    /// Why that one.
+    pub why: String,
+    /// The runtime and its version.
+    pub runtime: String,
+    /// Version of OpenXR that was agreed on.
+    pub api: String,
+    /// The state at the end: `exiting` where all went well.
+    pub state: String,
+    /// The states in the order in which they came.
+    pub states: Vec<String>,
+    /// Frames that were shown.
+    pub frames: u64,
+    /// Frames that the display showed nothing new in.
+    pub missed: u64,
+    /// How often the session was lost and asked for anew.
+    pub losses: u32,
+    /// Session time from the first frame to the last, seconds.
+    pub seconds: f64,
+    /// CPU time of our frame thread per frame, command recording included, time inside driver and runtime calls excluded.
+    pub frame_cpu_ms: Milliseconds,
+    /// Age of the pose, from asking for it to the return of vkQueueSubmit, host clock.
+    pub pose_age_ms: Milliseconds,
+    /// GPU time per pass.
+    pub gpu_ms: Vec<PassReport>,
+    /// The Vulkan device.
+    pub device: String,
+    /// Pixels per view.
+    pub size: (u32, u32),
+    /// Views per frame.
+    pub views: u32,
+    /// Samples per pixel.
+    pub msaa: u32,
+    /// Whether depth is submitted.
+    pub depth_layer: bool,
+    /// Whether what the lenses hide is left out.
+    pub visibility_mask: bool,
+    /// The display's rate, Hz, where the runtime says it.
+    pub refresh_hz: Option<f32>,
+    /// The OpenXR extensions that were asked for.
+    pub extensions: Vec<String>,
+    /// The actions that were created.
+    pub actions: Vec<String>,
+    /// Devices whose bindings the runtime took.
+    pub profiles: Vec<String>,
+    /// What each hand held at the end, where the runtime says it.
+    pub hands: [Option<String>; 2],
+    /// What was pointed at or taken; the first thousand.
+    pub touches: Vec<Touch>,
+    /// What was said to the user meanwhile.
+    pub notices: Vec<String>,
+    /// Messages of Vulkan validation; `None` where it was off or is not installed.
+    pub validation_messages: Option<u64>,
+    /// Pictures that were written.
+    pub pictures: Vec<String>,
+}
+
+impl std::fmt::Display for RunReport {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "headset        {} ({})", self.headset, self.why)?;
+        writeln!(f, "device         {}", self.device)?;
+        writeln!(
+            f,
+            "pictures       {} x {} x {}, MSAA {}{}{}",
+            self.views,
+            self.size.0,
+            self.size.1,
+            self.msaa,
+            if self.depth_layer { ", depth submitted" } else { "" },
+            if self.visibility_mask { ", hidden pixels left out" } else { "" }
+        )?;
+        writeln!(
+            f,
+            "frames         {} in {:.2} s, {} missed, ended {}",
+            self.frames, self.seconds, self.missed, self.state
+        )?;
+        let Milliseconds { p50, p95, p99, .. } = self.frame_cpu_ms;
+        writeln!(
+            f,
+            "frame CPU      p50 {p50:.3}, p95 {p95:.3}, p99 {p99:.3} ms (ours, without driver and runtime)"
+        )?;
+        let Milliseconds { p50, p99, .. } = self.pose_age_ms;
+        writeln!(f, "pose age       p50 {p50:.3}, p99 {p99:.3} ms when handed to the GPU")?;
+        for pass in &self.gpu_ms {
+            writeln!(f, "GPU {:<10} {:.3} ms", pass.name, pass.ms)?;
+        }
+        if let Some(count) = self.validation_messages {
+            writeln!(f, "validation     {count} messages")?;
+        }
+        for touch in self.touches.iter().take(10) {
+            writeln!(f, "frame {:<8} {} hand {} {}", touch.frame, touch.hand, touch.what, touch.name)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,183 @@
+//! A run: from the plan to the report, through every loss that can be recovered from.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use vergence_plan::{Plan, Requests};
+use vergence_scene::Scene;
+use vergence_xr::State;
+
+use crate::capture::Capture;
+use crate::config::{HeadsetChoice, RunConfig};
+use crate::error::Error;
+use crate::frame_loop::{self, End};
+use crate::headset;
+use crate::pose_log::PoseLog;
+use crate::report::RunReport;
+use crate::tally::Tally;
+
+/// How long a real runtime is given to come back after it was lost, seconds.
+const COME_BACK_S: f64 = 10.0;
+
+/// Something that happened while a scene runs, for whoever shows progress.
+#[derive(Clone, Copy, Debug)]
+pub enum Happening<'a> {
+    /// A sentence for the user.
+    Said(&'a str),
+    /// A frame was shown.
+    Frame {
+        /// How many so far.
+        shown: u64,
+        /// Session time so far, seconds.
+        seconds: f64,
+    },
+}
+
+/// What all sessions of a run share.
+pub(crate) struct Run<'a> {
+    pub(crate) scene: Arc<Scene>,
+    pub(crate) plan: Plan,
+    pub(crate) config: RunConfig,
+    pub(crate) tally: Tally,
+    pub(crate) capture: Option<Capture>,
+    pub(crate) pose_log: Option<PoseLog>,
+    pub(crate) report: RunReport,
+    pub(crate) watch: &'a mut dyn FnMut(Happening<'_>),
+}
+
+impl Run<'_> {
+    /// Says a sentence to the user and keeps it for the report.
+    pub(crate) fn say(&mut self, sentence: &str) {
+        log::info!("{sentence}");
+        (self.watch)(Happening::Said(sentence));
+        if self.report.notices.len() < 1000 {
+            self.report.notices.push(sentence.to_owned());
+        }
+    }
+}
+
+/// Shows `scene` on a headset until the frames or seconds of `config` are over, or the user or the runtime ends it.
+///
+/// `watch` hears what happens, on this thread, between frames.
+///
+/// # Errors
+/// A call that makes no sense or asks for what the machine cannot give ([`Error::is_wrong_call`]), no headset, a headset
+/// that is lost for good, or files that cannot be written.
+pub fn run(
+    scene: &Arc<Scene>,
+    config: &RunConfig,
+    watch: &mut dyn FnMut(Happening<'_>),
+) -> Result<RunReport, Error> {
+    check(config)?;
+    let requests = Requests {
+        normal_maps: config.quality.normal_maps,
+        hand_joints: config.hand_joints,
+        eye_gaze: config.eye_gaze,
+    };
+    let capture = config.capture.as_ref().map(|c| Capture::start(c, config.frames)).transpose()?;
+    let pose_log = config.log_poses.as_deref().map(PoseLog::create).transpose()?;
+    let mut run = Run {
+        scene: Arc::clone(scene),
+        plan: Plan::of(scene, &requests),
+        config: config.clone(),
+        tally: Tally::default(),
+        capture,
+        pose_log,
+        report: RunReport::default(),
+        watch,
+    };
+    let result = sessions(&mut run);
+    // What was written so far is finished also where the run failed: the run's own failure is the one to report.
+    let written = finish(&mut run);
+    result?;
+    written?;
+    Ok(run.report)
+}
+
+fn check(config: &RunConfig) -> Result<(), Error> {
+    let positive = |name: &str, value: Option<f64>| match value {
+        Some(value) if !(value > 0.0 && value.is_finite()) => {
+            Err(Error::Call(format!("{name}: expected a positive number, found {value}")))
+        }
+        _ => Ok(()),
+    };
+    positive("--seconds", config.seconds)?;
+    positive("--patience", Some(config.patience_s))?;
+    positive("--refresh-rate", config.refresh_rate_hz.map(f64::from))?;
+    if config.frames == Some(0) {
+        return Err(Error::Call("--frames: expected 1 or more, found 0".into()));
+    }
+    let given = |option: Option<&String>| option.is_some();
+    if config.headset == HeadsetChoice::OpenXr
+        && (config.ipd_m.is_some() || given(config.motion.as_ref()) || given(config.profile.as_ref()))
+    {
+        return Err(Error::Call(
+            "--ipd, --motion and --profile are for the simulated headset: on a real runtime the eye poses are the \
+             user's own"
+                .into(),
+        ));
+    }
+    Ok(())
+}
+
+/// One session after the other until one ends by itself.
+fn sessions(run: &mut Run<'_>) -> Result<(), Error> {
+    loop {
+        let config = run.config.clone();
+        let (watch, notices) = (&mut *run.watch, &mut run.report.notices);
+        let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), &mut |sentence| {
+            watch(Happening::Said(sentence));
+            notices.push(sentence.to_owned());
+        })?;
+        run.config.headset =
+            if chosen.is_simulated { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
+        run.config.wait_s = run.config.wait_s.max(COME_BACK_S);
+        if run.tally.losses == 0 {
+            let description = chosen.connection.description();
+            let kind = if chosen.is_simulated { "simulated" } else { "openxr" };
+            run.report.headset = format!("{kind}: {}", description.headset);
+            run.report.why = chosen.why.clone();
+            run.report.runtime = description.runtime.clone();
+            run.report.api = description.api.clone();
+            let sentence = format!("{} ({})", run.report.headset, chosen.why);
+            run.say(&sentence);
+        }
+        let ended = frame_loop::play(run, &chosen);
+        let lost = match ended {
+            Ok(End::Over(state)) => {
+                run.report.state = state.name().to_owned();
+                return Ok(());
+            }
+            Ok(End::Lost(why)) => why,
+            Err(Error::Headset(error)) if error.state() == (State::Lost { retry: true }) => error.to_string(),
+            Err(error) => return Err(error),
+        };
+        run.tally.losses += 1;
+        run.tally.pause();
+        if run.tally.losses > run.config.retries {
+            run.report.state = State::Lost { retry: false }.name().to_owned();
+            run.say(&format!("{lost}; lost {} times, giving up", run.tally.losses));
+            return Err(Error::Headset(vergence_xr::Error::SessionLost { call: "too often" }));
+        }
+        run.say(&format!("{lost}; asking for it anew"));
+        if !chosen.is_simulated {
+            std::thread::sleep(Duration::from_secs(1));
+        }
+    }
+}
+
+fn finish(run: &mut Run<'_>) -> Result<(), Error> {
+    let report = &mut run.report;
+    report.frames = run.tally.frames;
+    report.missed = run.tally.missed;
+    report.losses = run.tally.losses;
+    report.seconds = run.tally.elapsed().as_secs_f64();
+    report.frame_cpu_ms = run.tally.frame_cpu.percentiles();
+    report.pose_age_ms = run.tally.pose_age.percentiles();
+    let log_written = run.pose_log.take().map_or(Ok(()), PoseLog::finish);
+    if let Some(capture) = &mut run.capture {
+        report.pictures = capture.finish()?;
+        capture.write_summary(report)?;
+    }
+    log_written
+}

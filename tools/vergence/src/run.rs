@@ -1,0 +1,174 @@
+//! `vergence run`: shows a scene on a headset.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use vergence_session::{CaptureConfig, Happening, HeadsetChoice, RunConfig};
+
+use crate::failure::Failure;
+use crate::loading;
+use crate::quality::QualityFile;
+use crate::stream::Stream;
+
+/// Seconds that a run takes where nothing else is said.
+const DEFAULT_SECONDS: f64 = 10.0;
+
+/// Shows a scene on a headset: a real one where there is one, else the simulated one
+#[derive(clap::Args)]
+pub struct Args {
+    /// A .glb, .gltf, .obj, .ply or scene .toml
+    scene: PathBuf,
+    /// Which headset
+    #[arg(long, value_enum, default_value_t = Headset::Auto)]
+    headset: Headset,
+    /// Simulated headset: default, quest3, index, or a file
+    #[arg(long, value_name = "NAME|FILE.toml")]
+    profile: Option<String>,
+    /// Simulated headset: how its user moves: still, a motion that comes with it, or a file [default: still]
+    #[arg(long, value_name = "still|FILE.toml")]
+    motion: Option<String>,
+    /// Simulated headset: distance between the eyes [default: the profile's]
+    #[arg(long, value_name = "MM")]
+    ipd: Option<f64>,
+    /// Simulated headset: keeps to the wall clock instead of running as fast as it can
+    #[arg(long)]
+    real_time: bool,
+    /// Ends after so many frames
+    #[arg(long, value_name = "N", conflicts_with = "seconds")]
+    frames: Option<u64>,
+    /// Ends after so many seconds [default: 10]
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    /// Waits for a headset that is not there yet
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    wait: f64,
+    /// Gives up where no frame is shown for so long
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    patience: f64,
+    /// Writes stereo pictures, the poses they were seen from, and the report into a folder
+    #[arg(long, value_name = "DIR")]
+    capture: Option<PathBuf>,
+    /// Writes every Nth picture [default: all of up to 300 frames, else the first and the last]
+    #[arg(long, value_name = "N", requires = "capture")]
+    capture_every: Option<u64>,
+    /// Writes every frame's head and eye poses and angles, as located, a JSON object per line
+    #[arg(long, value_name = "FILE")]
+    log_poses: Option<PathBuf>,
+    /// Quality, as `vergence trade render` writes it
+    #[arg(long, value_name = "FILE.toml")]
+    quality: Option<PathBuf>,
+    /// Samples per pixel [default: the quality file's, else 4]
+    #[arg(long, value_name = "N")]
+    msaa: Option<u32>,
+    /// Reads further streams
+    #[arg(long, value_delimiter = ',', value_name = "STREAM")]
+    with: Vec<Stream>,
+    /// The display's rate, where it can be chosen
+    #[arg(long, value_name = "HZ")]
+    refresh_rate: Option<f32>,
+    /// Runs under Vulkan validation with synchronization validation; a message is a failure
+    #[arg(long)]
+    validate: bool,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Headset {
+    /// A real runtime with a headset where there is one, else the simulated one
+    Auto,
+    /// The system's OpenXR runtime
+    Openxr,
+    /// The simulated one
+    Simulated,
+}
+
+impl Args {
+    /// Runs the scene and prints the report.
+    pub fn run(self) -> Result<(), Failure> {
+        let config = self.config()?;
+        let scene = Arc::new(loading::scene(&self.scene)?);
+        let bar = self.bar();
+        let mut watch = |happening: Happening<'_>| match happening {
+            Happening::Said(sentence) => bar.suspend(|| eprintln!("{sentence}")),
+            Happening::Frame { shown, seconds } => {
+                bar.set_position(self.frames.map_or((seconds * 1e3) as u64, |_| shown));
+            }
+        };
+        let ran = vergence_session::run(&scene, &config, &mut watch);
+        bar.finish_and_clear();
+        let report =
+            ran.map_err(
+                |error| {
+                    if error.is_wrong_call() { Failure::call(&error) } else { Failure::work(&error) }
+                },
+            )?;
+        if self.json {
+            let json = serde_json::to_string(&report).map_err(|error| Failure::work(&error))?;
+            println!("{json}");
+        } else {
+            print!("{report}");
+            if let (Some(dir), Some(last)) = (&self.capture, report.pictures.last()) {
+                println!("stereo picture {}", dir.join(last).display());
+                println!("summary        {}", dir.join("summary.json").display());
+            }
+        }
+        match report.validation_messages {
+            Some(count @ 1..) => {
+                Err(Failure::Work(format!("Vulkan validation: expected no message, found {count}")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn config(&self) -> Result<RunConfig, Failure> {
+        let mut quality = vergence_render::Quality::default();
+        if let Some(path) = &self.quality {
+            let knobs = QualityFile::read(path).map_err(|error| Failure::call(&error))?.quality;
+            quality.msaa = knobs.msaa.unwrap_or(quality.msaa);
+            quality.anisotropy = knobs.anisotropy.unwrap_or(quality.anisotropy);
+            quality.render_scale = knobs.render_scale.unwrap_or(quality.render_scale);
+            quality.normal_maps = knobs.normal_maps.unwrap_or(quality.normal_maps);
+        }
+        quality.msaa = self.msaa.unwrap_or(quality.msaa);
+        Ok(RunConfig {
+            headset: match self.headset {
+                Headset::Auto => HeadsetChoice::Auto,
+                Headset::Openxr => HeadsetChoice::OpenXr,
+                Headset::Simulated => HeadsetChoice::Simulated,
+            },
+            profile: self.profile.clone(),
+            motion: self.motion.clone(),
+            ipd_m: self.ipd.map(|mm| mm * 1e-3),
+            real_time: self.real_time,
+            frames: self.frames,
+            seconds: self.seconds.or(self.frames.is_none().then_some(DEFAULT_SECONDS)),
+            wait_s: self.wait,
+            patience_s: self.patience,
+            quality,
+            capture: self
+                .capture
+                .as_ref()
+                .map(|dir| CaptureConfig { dir: dir.clone(), every: self.capture_every }),
+            log_poses: self.log_poses.clone(),
+            hand_joints: self.with.contains(&Stream::Hands),
+            eye_gaze: self.with.contains(&Stream::Gaze),
+            refresh_rate_hz: self.refresh_rate,
+            validation: self.validate,
+            ..RunConfig::default()
+        })
+    }
+
+    /// Drawn only where stderr is a terminal.
+    fn bar(&self) -> ProgressBar {
+        let length = self.frames.unwrap_or((self.seconds.unwrap_or(DEFAULT_SECONDS).max(0.0) * 1e3) as u64);
+        let bar = ProgressBar::new(length);
+        let unit = if self.frames.is_some() { "frames" } else { "ms" };
+        if let Ok(style) = ProgressStyle::with_template(&format!("{{bar:40}} {{pos}}/{{len}} {unit}")) {
+            bar.set_style(style);
+        }
+        bar
+    }
+}
