@@ -3,6 +3,7 @@
 
 pub mod located;
 pub mod monado;
+pub mod pictures;
 pub mod remote;
 
 use std::path::{Path, PathBuf};

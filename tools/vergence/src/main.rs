@@ -14,6 +14,7 @@ mod quality;
 mod render;
 mod run;
 mod stream;
+mod trade;
 
 use std::process::ExitCode;
 
@@ -38,6 +39,7 @@ enum Verb {
     Doctor(doctor::Args),
     Render(render::Args),
     Run(Box<run::Args>),
+    Trade(trade::Args),
 }
 
 impl Verb {
@@ -47,6 +49,7 @@ impl Verb {
             Self::Doctor(verb) => verb.run(),
             Self::Render(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
+            Self::Trade(verb) => verb.run(),
         }
     }
 }
