@@ -728,7 +728,10 @@ impl Between {
         if to.color_after != Use::ColorAttachment {
             encoder.barrier(&[color], &[]);
         }
-        if let Some(depth) = to.depth.filter(|_| to.depth_after != Use::DepthAttachment) {
+        // A resolve writes depth in the colour stage, with colour's access. Who takes the image over expects writes of
+        // the depth stage: the barrier brings one to the other, also where the use stays.
+        let is_resolved = self.color.is_some();
+        if let Some(depth) = to.depth.filter(|_| is_resolved || to.depth_after != Use::DepthAttachment) {
             encoder.transition(depth.image(), Use::DepthAttachment, to.depth_after);
         }
     }
