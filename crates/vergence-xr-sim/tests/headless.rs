@@ -5,7 +5,7 @@
 use openxr as xr;
 use vergence_time::Timestamp;
 use vergence_xr_sim::{
-    Config, Control, Controller, Hand, PoseProvider, Presence, Profile, Runtime, Still, Tracked,
+    ClockMode, Config, Control, Controller, Hand, PoseProvider, Presence, Profile, Runtime, Still, Tracked,
     get_instance_proc_addr,
 };
 use xr::SessionState as S;
@@ -255,6 +255,59 @@ fn the_virtual_clock_advances_by_the_period_whatever_the_load() {
     let (fast, slow) = (times(false), times(true));
     assert_eq!(fast, slow);
     assert!(fast.windows(2).all(|pair| pair[1] - pair[0] == 11_111_111));
+}
+
+/// Paced by the wall clock, and an application that is late loses whole periods, not the rhythm.
+#[test]
+fn real_time_waits_for_the_wall_clock_and_skips_periods_when_late() {
+    const PERIOD: i64 = 11_111_111;
+    let mut client = Client::begun(Config { clock: ClockMode::RealTime, ..Config::default() });
+    let start = std::time::Instant::now();
+    let first = client.frame().predicted_display_time.as_nanos();
+    let mut last = first;
+    for frame in 0..12 {
+        if frame == 6 {
+            std::thread::sleep(std::time::Duration::from_millis(40));
+        }
+        let time = client.frame().predicted_display_time.as_nanos();
+        assert_eq!((time - first) % PERIOD, 0, "the rhythm stays");
+        assert!(time > last);
+        assert!(frame != 6 || time - last >= 3 * PERIOD, "40 ms are three periods");
+        last = time;
+    }
+    // xrWaitFrame returns one period before the display, never earlier.
+    let elapsed = i64::try_from(start.elapsed().as_nanos()).unwrap();
+    assert!(elapsed >= last - first - 2 * PERIOD, "{elapsed} ns for {} ns", last - first);
+}
+
+#[test]
+fn what_is_not_tracked_is_said_not_to_be() {
+    struct Fading;
+    impl PoseProvider for Fading {
+        fn head(&self, at: Timestamp) -> Tracked {
+            match at.as_nanos() {
+                ..20_000_000 => Still::default().head(at),
+                20_000_000..30_000_000 => Tracked::Held(Rigid::translation(0.0, 1.6, 0.0)),
+                _ => Tracked::Lost,
+            }
+        }
+        fn controller(&self, _: Hand, _: Timestamp) -> Controller {
+            Controller::absent()
+        }
+    }
+    use xr::SpaceLocationFlags as F;
+    let mut client = Client::begun(Config { motion: Box::new(Fading), ..Config::default() });
+    let local = client.space(xr::ReferenceSpaceType::LOCAL);
+    let view = client.space(xr::ReferenceSpaceType::VIEW);
+    let valid = F::ORIENTATION_VALID | F::POSITION_VALID;
+    let tracked = F::ORIENTATION_TRACKED | F::POSITION_TRACKED;
+    for (flags, view_flags) in [(valid | tracked, 4), (valid, 2), (F::EMPTY, 0)] {
+        let time = client.frame().predicted_display_time;
+        assert_eq!(view.locate(&local, time).unwrap().location_flags, flags);
+        let found = client.session.locate_views(STEREO, time, &local).unwrap();
+        assert_eq!(found.0.into_raw().count_ones(), view_flags);
+        assert_eq!(found.1.len(), 2);
+    }
 }
 
 /// The head that the tests of views look through: somewhere, turned about all axes, moving.
