@@ -36,7 +36,7 @@ pub use pipeline::{
     Attribute, Blend, ComputePipeline, DepthState, GraphicsPipeline, GraphicsPipelineDesc, MAX_COLORS,
     PipelineLayout, ShaderModule, Stage, VertexBuffer,
 };
-pub use select::DEVICE_VARIABLE;
+pub use select::{DEVICE_VARIABLE, choose_device};
 pub use surface::{Mirror, Presentable, Shown};
 pub use sync::{Timeline, Use};
 pub use upload::{ReadBack, Upload};

@@ -170,6 +170,25 @@ pub(crate) fn choose(instance: &Instance) -> Result<Candidate, Error> {
     Err(Error::Unsuitable { required: REQUIRED, found: found.join("; ") })
 }
 
+/// The physical device that [`Device::new`](crate::Device::new) would choose on an instance that somebody else owns: for a runtime that
+/// says which device its headset is connected to.
+///
+/// # Safety
+///
+/// The instance must be valid, of Vulkan 1.3 or newer, and not be destroyed during the call.
+///
+/// # Errors
+///
+/// As for [`Device::new`](crate::Device::new).
+pub unsafe fn choose_device(
+    get_instance_proc_addr: vk::PFN_vkGetInstanceProcAddr,
+    instance: vk::Instance,
+) -> Result<vk::PhysicalDevice, Error> {
+    // SAFETY: the caller guarantees both.
+    let instance = unsafe { Instance::adopt(get_instance_proc_addr, instance) };
+    choose(&instance).map(|candidate| candidate.physical)
+}
+
 /// The device, if it can do what is required.
 pub(crate) fn check(instance: &Instance, physical: vk::PhysicalDevice) -> Result<Candidate, Error> {
     // SAFETY: the physical device is of this instance.

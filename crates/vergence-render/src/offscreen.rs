@@ -64,10 +64,11 @@ impl Offscreen {
     pub fn attachments(&self) -> Attachments<'_> {
         Attachments {
             color: &self.color,
-            color_before: Use::Undefined,
+            // The content is given up, but a copy of the frame before may still be reading it.
+            color_before: Use::TransferSource,
             color_after: Use::TransferSource,
             depth: self.depth.as_ref(),
-            depth_before: Use::Undefined,
+            depth_before: Use::TransferSource,
             depth_after: Use::TransferSource,
         }
     }

@@ -391,6 +391,7 @@ impl Renderer {
             encoder.end_rendering();
         }
         if passes > 1 && self.between.color.is_some() {
+            self.between.before_resolve(&mut encoder, attachments);
             self.between.begin(&mut encoder, attachments, &self.target, None, None)?;
             encoder.end_rendering();
         }
@@ -644,21 +645,32 @@ impl Between {
     }
 
     /// Makes all images attachments; before the first pass of a frame.
-    fn prepare(&self, encoder: &mut Encoder<'_>, to: &Attachments<'_>) {
-        let discard = |view: &'_ Arc<ImageView>, from, to| (Arc::clone(view.image()), from, to);
-        let mut changes = vec![discard(to.color, to.color_before, Use::ColorAttachment)];
-        if let Some(depth) = to.depth {
-            changes.push(discard(depth, to.depth_before, Use::DepthAttachment));
+    fn prepare<'a>(&'a self, encoder: &mut Encoder<'_>, to: &Attachments<'a>) {
+        let discard =
+            |view: &'a Arc<ImageView>, from, to| ImageBarrier::new(view.image(), from, to).discard();
+        // At most four images, of which the first is always there; the others follow it.
+        let mut barriers = [discard(to.color, to.color_before, Use::ColorAttachment); 4];
+        let mut count = 1;
+        let others = [
+            to.depth.map(|view| discard(view, to.depth_before, Use::DepthAttachment)),
+            self.color.as_ref().map(|view| discard(view, Use::ColorAttachment, Use::ColorAttachment)),
+            self.own_depth(to).map(|view| discard(view, Use::DepthAttachment, Use::DepthAttachment)),
+        ];
+        for barrier in others.into_iter().flatten() {
+            barriers[count] = barrier;
+            count += 1;
         }
+        encoder.barrier(&barriers[..count], &[]);
+    }
+
+    /// Between the passes to single layers and the one that resolves them all.
+    fn before_resolve(&self, encoder: &mut Encoder<'_>, to: &Attachments<'_>) {
         if let Some(color) = &self.color {
-            changes.push(discard(color, Use::ColorAttachment, Use::ColorAttachment));
+            encoder.transition(color.image(), Use::ColorAttachment, Use::ColorAttachment);
         }
         if let Some(depth) = self.own_depth(to) {
-            changes.push(discard(depth, Use::DepthAttachment, Use::DepthAttachment));
+            encoder.transition(depth.image(), Use::DepthAttachment, Use::DepthAttachment);
         }
-        let barriers: Vec<_> =
-            changes.iter().map(|(image, from, to)| ImageBarrier::new(image, *from, *to).discard()).collect();
-        encoder.barrier(&barriers, &[]);
     }
 
     /// Begins a pass to all layers (`layer` none), which also resolves samples, or to one, which does not: some

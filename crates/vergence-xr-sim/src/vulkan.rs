@@ -112,34 +112,13 @@ pub(crate) fn get_vulkan_graphics_device2(
     Ok(sys::Result::SUCCESS)
 }
 
-/// The device that the headset is "connected to": the fastest kind that there is.
+/// The device that the headset is "connected to": the one that the environment names, else the fastest kind that there is.
 fn first_device(entry: &VulkanEntry) -> XrResult<vk::PhysicalDevice> {
-    let VulkanEntry { gipa, instance } = *entry;
-    // SAFETY: the type is that of the function.
-    let list: vk::PFN_vkEnumeratePhysicalDevices =
-        unsafe { function(gipa, instance, c"vkEnumeratePhysicalDevices") }?;
-    // SAFETY: the type is that of the function.
-    let describe: vk::PFN_vkGetPhysicalDeviceProperties =
-        unsafe { function(gipa, instance, c"vkGetPhysicalDeviceProperties") }?;
-    let mut devices = [vk::PhysicalDevice::null(); 16];
-    let mut count = devices.len() as u32;
-    // SAFETY: the instance is alive (the application uses it in this call); there is room for `count` handles.
-    let code = unsafe { list(instance, &mut count, devices.as_mut_ptr()) };
-    if code != vk::Result::SUCCESS && code != vk::Result::INCOMPLETE {
-        return Err(sys::Result::ERROR_RUNTIME_FAILURE);
-    }
-    let rank = |device: &vk::PhysicalDevice| {
-        let mut properties = vk::PhysicalDeviceProperties::default();
-        // SAFETY: the device was listed by this instance.
-        unsafe { describe(*device, &mut properties) };
-        match properties.device_type {
-            vk::PhysicalDeviceType::DISCRETE_GPU => 0,
-            vk::PhysicalDeviceType::INTEGRATED_GPU => 1,
-            vk::PhysicalDeviceType::VIRTUAL_GPU => 2,
-            _ => 3,
-        }
-    };
-    devices[..count as usize].iter().copied().min_by_key(rank).ok_or(sys::Result::ERROR_RUNTIME_FAILURE)
+    // SAFETY: the instance is alive (the application uses it in this call) and of Vulkan 1.3 (see `create_vulkan_instance`).
+    unsafe { vergence_gpu::choose_device(entry.gipa, entry.instance) }.map_err(|error| {
+        log::error!("simulated runtime: {error}");
+        sys::Result::ERROR_RUNTIME_FAILURE
+    })
 }
 
 pub(crate) fn create_vulkan_device(
