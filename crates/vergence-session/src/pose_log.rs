@@ -10,7 +10,7 @@ use vergence_time::Timestamp;
 
 use crate::Error;
 
-/// A file of poses, one line per frame.
+/// A file of poses, one line per frame; each is on the disk when its frame is over, so that others can follow.
 pub(crate) struct PoseLog {
     path: PathBuf,
     file: BufWriter<File>,
@@ -42,7 +42,9 @@ impl PoseLog {
         head: Option<[f64; 7]>,
         eyes: impl Iterator<Item = ([f64; 7], [f64; 4])>,
     ) -> Result<(), Error> {
-        self.line(frame, display, head, eyes).map_err(Error::write(&self.path))
+        self.line(frame, display, head, eyes)
+            .and_then(|()| self.file.flush())
+            .map_err(Error::write(&self.path))
     }
 
     fn line(

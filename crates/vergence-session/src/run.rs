@@ -152,6 +152,11 @@ fn sessions(run: &mut Run<'_>) -> Result<(), Error> {
             Err(Error::Headset(error)) if error.state() == (State::Lost { retry: true }) => error.to_string(),
             Err(error) => return Err(error),
         };
+        // A call that failed with the loss leaves no time to ask for the state's notice.
+        let lost_state = State::Lost { retry: true }.name();
+        if run.report.states.last().is_none_or(|last| last != lost_state) {
+            run.report.states.push(lost_state.to_owned());
+        }
         run.tally.losses += 1;
         run.tally.pause();
         if run.tally.losses > run.config.retries {
