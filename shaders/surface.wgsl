@@ -13,8 +13,9 @@ const VIEW_COUNT: u32 = 0xF1E50001u;
 const LIGHT_COUNT: u32 = 0xF1E50002u;
 
 const PI: f32 = 3.14159265358979;
-// Perceptual roughness below this is drawn as this: its square's square is still a normal f32.
-const LEAST_ROUGHNESS: f32 = 1e-4;
+// Perceptual roughness below this is drawn as this: the lobe is then a hundredth of a pixel wide, and the powers of
+// it below stay far inside of what f32 holds.
+const LEAST_ROUGHNESS: f32 = 1e-3;
 // Grazing views are shaded as if seen under this cosine.
 const LEAST_COSINE: f32 = 1e-4;
 
@@ -62,21 +63,17 @@ struct Material {
     uv_offsets: array<vec4f, 3>,
 }
 
-struct Draw {
-    // Index of the first row in `transforms`.
-    transform: u32,
-    // Index into `materials`.
-    material: u32,
-    // The view of a pass that draws one view only; 0 in a multiview pass, where the built-in index says it.
-    view: u32,
+// Where a part stands: three rows of head_from_part for normals (first w: sign of the determinant), then for each
+// view three rows of eye_from_part.
+struct Place {
+    rows: array<vec4f, 15>,
 }
 
+// Place and material are windows that move with the draw, and the frame's with the pass, so that every address in the shader is a constant: a
+// software device loads such a value once for all lanes.
 @group(0) @binding(0) var<uniform> frame: Frame;
-// For each part: three rows of head_from_part for normals (first w: sign of the determinant), then for each view
-// three rows of eye_from_part.
-@group(0) @binding(1) var<storage, read> transforms: array<vec4f>;
-@group(0) @binding(2) var<storage, read> materials: array<Material>;
-var<immediate> draw: Draw;
+@group(0) @binding(1) var<uniform> place: Place;
+@group(0) @binding(2) var<uniform> material: Material;
 
 //#if BASE_COLOR_TEXTURE
 @group(1) @binding(0) var base_color_texture: texture_2d<f32>;
@@ -139,19 +136,18 @@ struct Varying {
 
 //#if VERTEX
 @vertex
-fn vertex(in: Vertex, @builtin(view_index) index_in_pass: u32) -> Varying {
-    let view_index = index_in_pass + draw.view;
+fn vertex(in: Vertex, @builtin(view_index) view_index: u32) -> Varying {
     // A choice among values that are the same for the whole draw is cheaper than an index that differs by view.
-    let first = draw.transform + 3u;
-    var x = transforms[first];
-    var y = transforms[first + 1u];
-    var z = transforms[first + 2u];
+    const first = 3u;
+    var x = place.rows[first];
+    var y = place.rows[first + 1u];
+    var z = place.rows[first + 2u];
     var clip = frame.views[0].clip;
     for (var v = 1u; v < VIEW_COUNT; v++) {
         let here = v == view_index;
-        x = select(x, transforms[first + 3u * v], here);
-        y = select(y, transforms[first + 3u * v + 1u], here);
-        z = select(z, transforms[first + 3u * v + 2u], here);
+        x = select(x, place.rows[first + 3u * v], here);
+        y = select(y, place.rows[first + 3u * v + 1u], here);
+        z = select(z, place.rows[first + 3u * v + 2u], here);
         clip = select(clip, frame.views[v].clip, here);
     }
     let p = vec3f(
@@ -164,16 +160,16 @@ fn vertex(in: Vertex, @builtin(view_index) index_in_pass: u32) -> Varying {
     let near = frame.views[0].eye_in_head.w;
     out.position = vec4f(p.x * clip.x + p.z * clip.y, p.y * clip.z + p.z * clip.w, near, -p.z);
 //#if LIT
-    let nx = transforms[draw.transform];
-    let ny = transforms[draw.transform + 1u];
-    let nz = transforms[draw.transform + 2u];
+    let nx = place.rows[0];
+    let ny = place.rows[1];
+    let nz = place.rows[2];
     out.normal = vec3f(dot(nx.xyz, in.normal), dot(ny.xyz, in.normal), dot(nz.xyz, in.normal));
 //#endif
 //#if NORMAL_TEXTURE
     // Tangents go with the surface. The rows above are those of the first view, which is the head.
-    let tx = transforms[first].xyz;
-    let ty = transforms[first + 1u].xyz;
-    let tz = transforms[first + 2u].xyz;
+    let tx = place.rows[first].xyz;
+    let ty = place.rows[first + 1u].xyz;
+    let tz = place.rows[first + 2u].xyz;
     let t = vec3f(dot(tx, in.tangent.xyz), dot(ty, in.tangent.xyz), dot(tz, in.tangent.xyz));
     // Unit length for both: the bitangent is their cross product.
     out.tangent = vec4f(t * inverseSqrt(max(dot(t, t), 1e-30)), in.tangent.w * nx.w);
@@ -196,10 +192,10 @@ fn vertex(in: Vertex, @builtin(view_index) index_in_pass: u32) -> Varying {
 //#if MANY_UVS
 // Texture coordinates of texture `i`: any affine function of both sets.
 fn texture_uv(i: u32, uv: vec4f) -> vec2f {
-    let offsets = materials[draw.material].uv_offsets[i / 2u];
+    let offsets = material.uv_offsets[i / 2u];
     let offset = select(offsets.xy, offsets.zw, (i & 1u) == 1u);
-    let u = dot(materials[draw.material].uv_rows[2u * i], uv);
-    let v = dot(materials[draw.material].uv_rows[2u * i + 1u], uv);
+    let u = dot(material.uv_rows[2u * i], uv);
+    let v = dot(material.uv_rows[2u * i + 1u], uv);
     return vec2f(u, v) + offset;
 }
 //#endif
@@ -215,7 +211,7 @@ fn fragment(
     in: Varying,
 //#if LIT
     @builtin(front_facing) front_facing: bool,
-    @builtin(view_index) index_in_pass: u32,
+    @builtin(view_index) view_index: u32,
 //#endif
 ) -> @location(0) vec4f {
 //#if MANY_UVS
@@ -233,7 +229,7 @@ fn fragment(
     let uv_occlusion = in.uv;
     let uv_emissive = in.uv;
 //#endif
-    var base = materials[draw.material].base_color;
+    var base = material.base_color;
 //#if BASE_COLOR_TEXTURE
     base *= textureSample(base_color_texture, base_color_sampler, uv_base_color);
 //#endif
@@ -254,7 +250,7 @@ fn fragment(
     let glow = textureSample(emissive_texture, emissive_sampler, uv_emissive).rgb;
 //#endif
 //#if MASK
-    if (base.a < materials[draw.material].law.w) {
+    if (base.a < material.law.w) {
         discard;
     }
 //#endif
@@ -262,7 +258,6 @@ fn fragment(
     var color = base.rgb;
 //#endif
 //#if LIT
-    let view_index = index_in_pass + draw.view;
     var eye = frame.views[0].eye_in_head.xyz;
     var ray = frame.views[0].ray.xyz;
     var ray_per_x = frame.views[0].ray_per_x.xyz;
@@ -279,7 +274,7 @@ fn fragment(
     let p = eye + along * (1.0 / in.position.w);
     let to_eye = -unit(along);
 //#if NORMAL_TEXTURE
-    bump = vec3f(bump.xy * materials[draw.material].more.x, bump.z);
+    bump = vec3f(bump.xy * material.more.x, bump.z);
     let bitangent = cross(in.normal, in.tangent.xyz) * in.tangent.w;
     var normal = unit(in.tangent.xyz * bump.x + bitangent * bump.y + in.normal * bump.z);
 //#endif
@@ -288,7 +283,7 @@ fn fragment(
 //#endif
     normal = select(-normal, normal, front_facing);
     let nv = max(dot(normal, to_eye), LEAST_COSINE);
-    let law = materials[draw.material].law;
+    let law = material.law;
 //#if METALLIC_ROUGHNESS
     var metallic = law.x;
     var roughness = law.y;
@@ -317,11 +312,11 @@ fn fragment(
 //#if BLINN_PHONG
     let diffuse = base.rgb * (1.0 / PI);
     var ambient = diffuse;
-    let exponent = materials[draw.material].more.y;
-    let lobe = law.xyz * materials[draw.material].more.z;
+    let exponent = material.more.y;
+    let lobe = law.xyz * material.more.z;
 //#endif
 //#if OCCLUSION_TEXTURE
-    ambient *= 1.0 + materials[draw.material].emissive.w * (open - 1.0);
+    ambient *= 1.0 + material.emissive.w * (open - 1.0);
 //#endif
     var color = frame.ambient.rgb * ambient;
     for (var i = 0u; i < LIGHT_COUNT; i++) {
@@ -338,29 +333,34 @@ fn fragment(
         let cone = clamp(-dot(axis.xyz, to_light) * axis.w + frame.lights[i].cone.x, 0.0, 1.0);
         let nl = clamp(dot(normal, to_light), 0.0, 1.0);
         let irradiance = light_color.rgb * (nl * inverse * inverse * window * cone * cone);
-        let half_way = unit(to_light + to_eye);
-        let nh = max(dot(normal, half_way), 0.0);
+        // The half vector without its length: h2 is its square.
+        let half_way = to_light + to_eye;
+        let h2 = max(dot(half_way, half_way), 1e-8);
+        let nh = dot(normal, half_way);
 //#if METALLIC_ROUGHNESS
-        // GGX with height-correlated Smith (Heitz 2014). |n × h|² instead of 1 − (n·h)²: no cancellation.
+        // GGX with height-correlated Smith (Heitz 2014), over one division. |n × h|² instead of 1 − (n·h)²: no
+        // cancellation. Largest: alpha² h2² / (alpha²·alpha² …) = 1e12 / 1e-7.
         let away = cross(normal, half_way);
-        let peak = alpha / max(nh * nh * alpha2 + dot(away, away), 1e-17);
+        let width = max(nh * nh * alpha2 + dot(away, away), 1e-13);
         let smith_l = sqrt(nl * nl * (1.0 - alpha2) + alpha2);
-        let visible = 0.5 / max(nl * smith_v + nv * smith_l, 1e-7);
-        let grazing = 1.0 - clamp(dot(to_eye, half_way), 0.0, 1.0);
+        let smith = max(nl * smith_v + nv * smith_l, 1e-7);
+        let peak = alpha * h2;
+        let lobe = (peak * peak * (0.5 / PI)) / (width * width * smith);
+        let grazing = 1.0 - min(0.5 * sqrt(h2), 1.0);
         let grazing2 = grazing * grazing;
         let fresnel = f0 + (1.0 - f0) * (grazing2 * grazing2 * grazing);
-        let specular = fresnel * (peak * peak * visible * (1.0 / PI));
-        color += irradiance * (diffuse * (1.0 - max(fresnel, taken)) + specular);
+        color += irradiance * (diffuse + fresnel * (lobe - diffuse));
 //#endif
 //#if BLINN_PHONG
-        color += irradiance * (diffuse + lobe * pow(max(nh, 1e-6), exponent));
+        let cosine2 = clamp(nh * nh / h2, 1e-12, 1.0);
+        color += irradiance * (diffuse + lobe * pow(cosine2, 0.5 * exponent));
 //#endif
     }
 //#if EMISSIVE_TEXTURE
-    color += materials[draw.material].emissive.rgb * glow;
+    color += material.emissive.rgb * glow;
 //#endif
 //#if EMISSIVE_FACTOR
-    color += materials[draw.material].emissive.rgb;
+    color += material.emissive.rgb;
 //#endif
     // A mirror of the sun is bright but finite.
     color = min(color, vec3f(65504.0));

@@ -16,22 +16,23 @@ struct Views {
     views: array<View, 4>,
 }
 
+// As in surface.wgsl.
+struct Place {
+    rows: array<vec4f, 15>,
+}
+
 struct Draw {
-    // Index of the first row in `transforms`.
-    transform: u32,
-    // Distance units per atlas texel times texels per atlas unit: (value − edge) · scale is a signed distance in texels.
-    texels_per_value: f32,
+    // Linear RGBA.
+    color: vec4f,
     // Size of the atlas in texels.
     atlas_width: f32,
     atlas_height: f32,
-    // Linear RGBA.
-    color: vec4f,
-    // As in surface.wgsl.
-    view: u32,
+    // (value − edge) times this is a signed distance in texels.
+    texels_per_value: f32,
 }
 
 @group(0) @binding(0) var<uniform> frame: Views;
-@group(0) @binding(1) var<storage, read> transforms: array<vec4f>;
+@group(0) @binding(1) var<uniform> place: Place;
 @group(1) @binding(0) var atlas: texture_2d<f32>;
 @group(1) @binding(1) var atlas_sampler: sampler;
 var<immediate> draw: Draw;
@@ -45,19 +46,18 @@ struct Varying {
 fn vertex(
     @location(0) position: vec3f,
     @location(1) uv: vec2f,
-    @builtin(view_index) index_in_pass: u32,
+    @builtin(view_index) view_index: u32,
 ) -> Varying {
-    let view_index = index_in_pass + draw.view;
-    let first = draw.transform + 3u;
-    var x = transforms[first];
-    var y = transforms[first + 1u];
-    var z = transforms[first + 2u];
+    const first = 3u;
+    var x = place.rows[first];
+    var y = place.rows[first + 1u];
+    var z = place.rows[first + 2u];
     var clip = frame.views[0].clip;
     for (var v = 1u; v < VIEW_COUNT; v++) {
         let here = v == view_index;
-        x = select(x, transforms[first + 3u * v], here);
-        y = select(y, transforms[first + 3u * v + 1u], here);
-        z = select(z, transforms[first + 3u * v + 2u], here);
+        x = select(x, place.rows[first + 3u * v], here);
+        y = select(y, place.rows[first + 3u * v + 1u], here);
+        z = select(z, place.rows[first + 3u * v + 2u], here);
         clip = select(clip, frame.views[v].clip, here);
     }
     let p = vec3f(

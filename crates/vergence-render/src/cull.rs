@@ -69,8 +69,8 @@ impl Visible {
             if meshes.is_blended(drawable) {
                 self.blended.push((distance_m, item));
             } else {
-                // The nearest point, not the middle: a large floor is under everything else.
-                self.covering.push(((distance_m - radius_m).max(0.0) + 0.1 * distance_m, item));
+                // The farthest point, not the middle: walls and floors stand behind what is in the room.
+                self.covering.push((distance_m + radius_m, item));
             }
         }
         for (index, (centre, radius_m)) in labels.iter().enumerate() {

@@ -47,7 +47,7 @@ impl Hidden {
             return Ok(None);
         }
         let layout = PipelineLayout::new(device, &[frame_sets], vk::ShaderStageFlags::VERTEX, 4)?;
-        let vertex = vergence_shaders::VISIBILITY_VERTEX.module(target.views, 0);
+        let vertex = vergence_shaders::VISIBILITY_VERTEX.module(target.views_per_pass(device), 0);
         let module = ShaderModule::new(device, vertex.words())?;
         let pipeline = GraphicsPipeline::new(
             device,
@@ -84,11 +84,17 @@ impl Hidden {
         }))
     }
 
-    /// Draws it; before everything else.
-    pub fn draw(&self, encoder: &mut Encoder<'_>, frame_set: &Arc<DescriptorSet>, view: u32) {
+    /// Draws it in a pass from `first_view` on, whose frame begins at byte `frame`; before everything else.
+    pub fn draw(
+        &self,
+        encoder: &mut Encoder<'_>,
+        frame_set: &Arc<DescriptorSet>,
+        frame: u32,
+        first_view: u32,
+    ) {
         encoder.bind(&self.pipeline);
-        encoder.bind_set(0, frame_set, &[]);
-        encoder.push(0, &view);
+        encoder.bind_set(0, frame_set, &[frame, 0, 0]);
+        encoder.push(0, &first_view);
         encoder.vertex_buffer(0, &self.vertices, 0);
         encoder.index_buffer(&self.indices, 0, vk::IndexType::UINT32);
         encoder.draw_indexed(self.count, 0, 0, 1, 0);

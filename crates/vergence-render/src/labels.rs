@@ -22,12 +22,10 @@ use crate::renderer::Target;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 struct Push {
-    transform: u32,
-    texels_per_value: f32,
-    atlas: [f32; 2],
     color: [f32; 4],
-    view: u32,
-    rest: [u32; 3],
+    atlas: [f32; 2],
+    texels_per_value: f32,
+    rest: u32,
 }
 
 /// A text at a node.
@@ -145,28 +143,25 @@ impl Labels {
         (Matrix3::from_columns(&[y.cross(&z), y, z]) * scale, origin)
     }
 
-    /// Draws one label, whose rows begin at `transform`.
+    /// Draws one label, whose frame and place begin at `windows` (bytes).
     pub fn draw(
         &self,
         encoder: &mut Encoder<'_>,
         frame_set: &Arc<DescriptorSet>,
         index: usize,
-        transform: u32,
-        view: u32,
+        windows: [u32; 3],
     ) {
         let label = &self.all[index];
         encoder.bind(&self.pipeline);
-        encoder.bind_set(0, frame_set, &[]);
+        encoder.bind_set(0, frame_set, &windows);
         encoder.bind_set(1, &self.set, &[]);
         encoder.vertex_buffer(0, &self.vertices, 0);
         encoder.index_buffer(&self.indices, 0, vk::IndexType::UINT32);
         let push = Push {
-            transform,
-            texels_per_value: self.texels_per_value,
-            atlas: self.atlas_size,
             color: label.label.color,
-            view,
-            rest: [0; 3],
+            atlas: self.atlas_size,
+            texels_per_value: self.texels_per_value,
+            rest: 0,
         };
         encoder.push(0, &push);
         encoder.draw_indexed(label.index_count, label.first_index, 0, 1, 0);
@@ -214,8 +209,8 @@ fn pipeline(
     target: &Target,
     samples: u32,
 ) -> Result<Arc<GraphicsPipeline>, Error> {
-    let vertex = vergence_shaders::TEXT_VERTEX.module(target.views, 0);
-    let fragment = vergence_shaders::TEXT_FRAGMENT.module(target.views, 0);
+    let vertex = vergence_shaders::TEXT_VERTEX.module(target.views_per_pass(device), 0);
+    let fragment = vergence_shaders::TEXT_FRAGMENT.module(target.views_per_pass(device), 0);
     let vertex_module = ShaderModule::new(device, vertex.words())?;
     let fragment_module = ShaderModule::new(device, fragment.words())?;
     Ok(GraphicsPipeline::new(

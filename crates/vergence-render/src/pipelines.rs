@@ -14,15 +14,6 @@ use crate::meshes::Kind;
 use crate::renderer::Target;
 use crate::surfaces::Layout;
 
-/// What both stages of a surface are told per draw.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
-pub(crate) struct DrawPush {
-    pub transform: u32,
-    pub material: u32,
-    pub view: u32,
-}
-
 /// Reversed depth: nearer is greater.
 pub(crate) const DEPTH_COMPARE: vk::CompareOp = vk::CompareOp::GREATER;
 
@@ -41,9 +32,7 @@ impl KindPipelines {
         frame_sets: &Arc<SetLayout>,
         textures: &Arc<SetLayout>,
     ) -> Result<Self, Error> {
-        let stages = vk::ShaderStageFlags::VERTEX | vk::ShaderStageFlags::FRAGMENT;
-        let bytes = size_of::<DrawPush>() as u32;
-        let layout = PipelineLayout::new(device, &[frame_sets, textures], stages, bytes)?;
+        let layout = PipelineLayout::new(device, &[frame_sets, textures], vk::ShaderStageFlags::empty(), 0)?;
         Ok(Self { kind, layout, made: [None, None] })
     }
 
@@ -75,8 +64,10 @@ fn make(
 ) -> Result<Arc<GraphicsPipeline>, Error> {
     let Kind { surface, variant } = kind;
     let missing = || Error::range("surface", "a variant that makes sense", format!("{variant:?}"));
-    let vertex = vergence_shaders::surface_vertex(&variant, target.views).ok_or_else(missing)?;
-    let fragment = vergence_shaders::surface_fragment(&variant, target.views, lights).ok_or_else(missing)?;
+    let vertex =
+        vergence_shaders::surface_vertex(&variant, target.views_per_pass(device)).ok_or_else(missing)?;
+    let fragment = vergence_shaders::surface_fragment(&variant, target.views_per_pass(device), lights)
+        .ok_or_else(missing)?;
     let vertex_module = ShaderModule::new(device, vertex.words())?;
     let fragment_module = ShaderModule::new(device, fragment.words())?;
     let (moving, sticking) = attributes(Layout::of(&variant));

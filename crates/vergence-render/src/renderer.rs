@@ -13,15 +13,16 @@ use vergence_scene::Needs;
 use vergence_scene::model::Scene;
 use vergence_time::Span;
 
-use crate::cull::{Item, Visible};
+use crate::cull::{Item, Visible, middle_of};
 use crate::hidden::Hidden;
 use crate::labels::Labels;
 use crate::meshes::{Meshes, at};
-use crate::pipelines::{DrawPush, KindPipelines};
+use crate::pipelines::KindPipelines;
 use crate::pose::Pose;
 use crate::skinning::Skinning;
+use crate::surfaces::PackedMaterial;
 use crate::textures::{self, TextureSet};
-use crate::views::{Axes, Eyes, PackedFrame, pack, rows_per_item};
+use crate::views::{Axes, Eyes, PLACE_ROWS, PackedFrame, pack};
 use crate::{Error, MAX_LIGHTS, MAX_VIEWS, Quality, lights};
 
 /// What is drawn to.
@@ -46,6 +47,12 @@ impl Target {
     /// The views of one pass, one bit each; 0 where each view has its own pass.
     pub(crate) fn view_mask(&self, device: &Device) -> u32 {
         if self.views == 1 || has_sound_multiview(device) { (1 << self.views) - 1 } else { 0 }
+    }
+}
+
+impl Target {
+    pub(crate) fn views_per_pass(&self, device: &Device) -> u32 {
+        self.view_mask(device).count_ones().max(1)
     }
 }
 
@@ -165,6 +172,7 @@ pub struct Renderer {
     visible: Visible,
     slots: Vec<Slot>,
     lights: Vec<usize>,
+    windows: Windows,
     statistics: Statistics,
     // Kept from frame to frame so that latching allocates nothing.
     axes: Vec<Option<Axes>>,
@@ -217,15 +225,12 @@ impl Renderer {
         } else {
             None
         };
-        let materials = if meshes.materials.is_empty() {
-            None
-        } else {
-            Some(upload.buffer("materials", &meshes.materials, vk::BufferUsageFlags::STORAGE_BUFFER)?)
-        };
-        let items = meshes.drawables.len() + labels.as_ref().map_or(0, Labels::len);
-        let rows = items * rows_per_item(target.views as usize);
+        let windows =
+            Windows::new(device, target, meshes.drawables.len() + labels.as_ref().map_or(0, Labels::len));
+        let materials = upload_materials(&mut upload, &meshes, &windows)?;
+        let rows = windows.rows();
         let slots = (0..frames_in_flight)
-            .map(|_| Slot::new(device, &frame_sets, rows, materials.as_ref(), quality.timestamps))
+            .map(|_| Slot::new(device, &frame_sets, &windows, materials.as_ref(), quality.timestamps))
             .collect::<Result<_, _>>()?;
         let mut renderer = Self {
             device: Arc::clone(device),
@@ -245,6 +250,7 @@ impl Renderer {
             visible: Visible::default(),
             slots,
             lights,
+            windows,
             statistics: Statistics { triangles: meshes.triangles, ..Statistics::default() },
             axes: Vec::new(),
             rows: Vec::with_capacity(rows),
@@ -336,7 +342,7 @@ impl Renderer {
             }
         }
         self.between.complete(&self.device, &self.target, attachments)?;
-        let passes = if self.target.view_mask(&self.device) == 0 { self.target.views } else { 1 };
+        let passes = self.windows.passes as u32;
         let slot = &mut self.slots[slot_index];
         slot.items.clear();
         let mut encoder = slot.commands.record()?;
@@ -355,7 +361,7 @@ impl Renderer {
             self.between.begin(&mut encoder, attachments, &self.target, layer, background)?;
             if let Some(set) = &slot.set {
                 if let Some(hidden) = &self.hidden {
-                    hidden.draw(&mut encoder, set, pass);
+                    hidden.draw(&mut encoder, set, pass * self.windows.frame_stride, pass);
                 }
                 let mut draws = Draws {
                     meshes: &self.meshes,
@@ -369,18 +375,19 @@ impl Renderer {
                     samples: self.quality.msaa,
                     lights,
                     set,
-                    view: pass,
+                    windows: self.windows,
+                    pass,
                     bound: Bindings::default(),
                     triangles: 0,
                 };
-                let rows = rows_per_item(self.target.views as usize) as u32;
                 for (number, item) in slot.items.iter().enumerate() {
-                    let transform = number as u32 * rows;
+                    let place = self.windows.place(pass as usize, number);
                     match item {
-                        Item::Part(index) => draws.part(&mut encoder, *index as usize, transform)?,
+                        Item::Part(index) => draws.part(&mut encoder, *index as usize, place)?,
                         Item::Label(index) => {
                             if let Some(labels) = &self.labels {
-                                labels.draw(&mut encoder, set, *index as usize, transform, pass);
+                                let windows = [pass * self.windows.frame_stride, place, 0];
+                                labels.draw(&mut encoder, set, *index as usize, windows);
                                 draws.bound = Bindings::default();
                             }
                         }
@@ -412,17 +419,31 @@ impl Renderer {
         if self.slot(slot)?.state == State::Free {
             return Err(Error::Order { expected: "begin", found: "latch" });
         }
-        let eyes = Eyes::new(views);
-        self.write_frame(slot, views, &eyes)?;
-        let viewer = eyes.middle();
-        let rows_per_item = rows_per_item(views.len());
+        let viewer = middle_of(views);
+        self.rows.clear();
+        self.rows.resize(self.windows.rows(), [0.0; 4]);
+        let per_pass = views.len() / self.windows.passes;
+        for (pass, views) in views.chunks_exact(per_pass).enumerate() {
+            let eyes = Eyes::new(views);
+            self.write_frame(slot, pass, views, &eyes)?;
+            self.write_places(slot, pass, &eyes, &viewer);
+        }
+        let slot = &mut self.slots[slot];
+        if let Some(transforms) = slot.transforms.as_ref().filter(|_| !slot.items.is_empty()) {
+            // From the first window that is used to the last.
+            let used = self.windows.place_row(self.windows.passes - 1, slot.items.len());
+            transforms.write(0, &self.rows[..used])?;
+        }
+        slot.state = State::Latched;
+        Ok(())
+    }
+
+    fn write_places(&mut self, slot: usize, pass: usize, eyes: &Eyes, viewer: &nalgebra::Point3<f64>) {
         self.axes.clear();
         self.axes.resize(self.pose.world.world_from_node.len(), None);
-        let slot = &mut self.slots[slot];
-        self.rows.clear();
-        self.rows.resize(slot.items.len() * rows_per_item, [0.0; 4]);
         let upright = eyes.axes(&nalgebra::Matrix3::identity());
-        for (item, rows) in slot.items.iter().zip(self.rows.chunks_exact_mut(rows_per_item)) {
+        for (number, item) in self.slots[slot].items.iter().enumerate() {
+            let rows = &mut self.rows[self.windows.place_row(pass, number)..][..PLACE_ROWS];
             match *item {
                 Item::Part(index) => {
                     let drawable = &self.meshes.drawables[index as usize];
@@ -437,20 +458,15 @@ impl Renderer {
                 }
                 Item::Label(index) => {
                     if let Some(labels) = &self.labels {
-                        let (linear, place) = labels.stand(index as usize, &self.pose.world, &viewer);
+                        let (linear, place) = labels.stand(index as usize, &self.pose.world, viewer);
                         eyes.write_rows(&eyes.axes(&linear), &place, rows);
                     }
                 }
             }
         }
-        if let Some(transforms) = slot.transforms.as_ref().filter(|_| !self.rows.is_empty()) {
-            transforms.write(0, &self.rows)?;
-        }
-        slot.state = State::Latched;
-        Ok(())
     }
 
-    fn write_frame(&mut self, slot: usize, views: &[View], eyes: &Eyes) -> Result<(), Error> {
+    fn write_frame(&mut self, slot: usize, pass: usize, views: &[View], eyes: &Eyes) -> Result<(), Error> {
         let mut frame: PackedFrame = bytemuck::Zeroable::zeroed();
         for (packed, view) in frame.views.iter_mut().zip(views) {
             *packed = pack(view, &eyes.head_from_world, self.target.size, self.quality.near_m);
@@ -465,7 +481,8 @@ impl Renderer {
         }
         // Only as much as is used: the rest of the lights stays as it is.
         let used = size_of::<PackedFrame>() - size_of_val(&frame.lights[self.lights.len()..]);
-        Ok(self.slots[slot].frame.write(0, &bytemuck::bytes_of(&frame)[..used])?)
+        let offset = pass as u64 * u64::from(self.windows.frame_stride);
+        Ok(self.slots[slot].frame.write(offset, &bytemuck::bytes_of(&frame)[..used])?)
     }
 
     /// Hands the frame to the device; gives the number of the submission, for [`Device::wait`].
@@ -542,13 +559,14 @@ struct Draws<'a> {
     samples: u32,
     lights: u32,
     set: &'a Arc<DescriptorSet>,
-    view: u32,
+    windows: Windows,
+    pass: u32,
     bound: Bindings,
     triangles: u64,
 }
 
 impl Draws<'_> {
-    fn part(&mut self, encoder: &mut Encoder<'_>, index: usize, transform: u32) -> Result<(), Error> {
+    fn part(&mut self, encoder: &mut Encoder<'_>, index: usize, place: u32) -> Result<(), Error> {
         let Some(geometry) = self.geometry else { return Ok(()) };
         let drawable = &self.meshes.drawables[index];
         let mirrored = is_mirrored(self.pose, drawable.node, drawable.skin);
@@ -557,7 +575,6 @@ impl Draws<'_> {
             let kind = &mut self.kinds[drawable.kind];
             let made = kind.get(self.device, self.target, self.samples, self.lights, mirrored)?;
             encoder.bind(made);
-            encoder.bind_set(0, self.set, &[]);
             self.bound.pipeline = pipeline;
             self.bound.texture_set = None;
         }
@@ -582,7 +599,8 @@ impl Draws<'_> {
             encoder.index_buffer(&geometry.indices, 0, vk::IndexType::UINT16);
             self.bound.indices = true;
         }
-        encoder.push(0, &DrawPush { transform, material: drawable.material, view: self.view });
+        let material = drawable.material * self.windows.material_stride;
+        encoder.bind_set(0, self.set, &[self.pass * self.windows.frame_stride, place, material]);
         encoder.draw_indexed(drawable.index_count, drawable.first_index, drawable.base_vertex, 1, 0);
         self.triangles += u64::from(drawable.index_count / 3);
         Ok(())
@@ -593,23 +611,29 @@ impl Slot {
     fn new(
         device: &Arc<Device>,
         layout: &Arc<SetLayout>,
-        rows: usize,
+        windows: &Windows,
         materials: Option<&Arc<Buffer>>,
         timestamps: bool,
     ) -> Result<Self, Error> {
         const PASSES: u32 = 2;
-        let bytes = size_of::<PackedFrame>() as u64;
+        let bytes = u64::from(windows.frame_stride) * windows.passes as u64;
         let frame =
             Buffer::new(device, "frame", bytes, vk::BufferUsageFlags::UNIFORM_BUFFER, Memory::Upload)?;
-        let storage = vk::BufferUsageFlags::STORAGE_BUFFER;
+        let uniform = vk::BufferUsageFlags::UNIFORM_BUFFER;
+        let rows = windows.rows();
         let (mut transforms, mut set) = (None, None);
         if rows > 0 {
-            let buffer = Buffer::new(device, "transforms", 16 * rows as u64, storage, Memory::Upload)?;
+            let buffer = Buffer::new(device, "transforms", 16 * rows as u64, uniform, Memory::Upload)?;
             let bound = [
-                (0, 0, Bound::Buffer(&frame)),
-                (1, 0, Bound::Buffer(&buffer)),
-                // A scene of labels only has no materials; their shader does not look.
-                (2, 0, Bound::Buffer(materials.unwrap_or(&buffer))),
+                (0, 0, Bound::BufferRange(&frame, 0, size_of::<PackedFrame>() as u64)),
+                (1, 0, Bound::BufferRange(&buffer, 0, 16 * PLACE_ROWS as u64)),
+                match materials {
+                    Some(materials) => {
+                        (2, 0, Bound::BufferRange(materials, 0, size_of::<PackedMaterial>() as u64))
+                    }
+                    // A scene of labels only has no materials; their shader does not look.
+                    None => (2, 0, Bound::BufferRange(&buffer, 0, 16 * PLACE_ROWS as u64)),
+                },
             ];
             set = Some(DescriptorSet::new(layout, &bound)?);
             transforms = Some(buffer);
@@ -782,11 +806,71 @@ fn frame_set_layout(device: &Arc<Device>) -> Result<Arc<SetLayout>, Error> {
     Ok(SetLayout::new(
         device,
         &[
-            BindingDesc::new(0, vk::DescriptorType::UNIFORM_BUFFER, stages),
-            BindingDesc::new(1, vk::DescriptorType::STORAGE_BUFFER, vk::ShaderStageFlags::VERTEX),
-            BindingDesc::new(2, vk::DescriptorType::STORAGE_BUFFER, vk::ShaderStageFlags::FRAGMENT),
+            BindingDesc::new(0, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, stages),
+            BindingDesc::new(1, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, vk::ShaderStageFlags::VERTEX),
+            BindingDesc::new(2, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, vk::ShaderStageFlags::FRAGMENT),
         ],
     )?)
+}
+
+/// Windows of the uniform buffers: a frame for each pass, a place for each pass and item, a material for each
+/// material.
+#[derive(Clone, Copy)]
+struct Windows {
+    /// One, or one for each view.
+    passes: usize,
+    items: usize,
+    /// From one to the next: bytes.
+    frame_stride: u32,
+    /// From one to the next: rows of 16 bytes.
+    place_stride: usize,
+    /// From one to the next: bytes.
+    material_stride: u32,
+}
+
+impl Windows {
+    fn new(device: &Device, target: &Target, items: usize) -> Self {
+        let alignment = (device.limits().uniform_alignment as usize).max(16);
+        let views_per_pass = target.views_per_pass(device);
+        Self {
+            passes: (target.views / views_per_pass) as usize,
+            items,
+            frame_stride: size_of::<PackedFrame>().next_multiple_of(alignment) as u32,
+            place_stride: (16 * (3 + 3 * views_per_pass as usize)).next_multiple_of(alignment) / 16,
+            material_stride: size_of::<PackedMaterial>().next_multiple_of(alignment) as u32,
+        }
+    }
+
+    /// First row of a place.
+    fn place_row(&self, pass: usize, item: usize) -> usize {
+        (pass * self.items + item) * self.place_stride
+    }
+
+    /// First byte of a place.
+    fn place(&self, pass: usize, item: usize) -> u32 {
+        16 * self.place_row(pass, item) as u32
+    }
+
+    /// Rows of all places; the last window is as long as all others.
+    fn rows(&self) -> usize {
+        if self.items == 0 { 0 } else { self.place_row(self.passes, 0) + PLACE_ROWS }
+    }
+}
+
+fn upload_materials(
+    upload: &mut Upload,
+    meshes: &Meshes,
+    windows: &Windows,
+) -> Result<Option<Arc<Buffer>>, Error> {
+    if meshes.materials.is_empty() {
+        return Ok(None);
+    }
+    let mut bytes = Vec::with_capacity(meshes.materials.len() * windows.material_stride as usize);
+    for material in &meshes.materials {
+        bytes.extend_from_slice(bytemuck::bytes_of(material));
+        bytes.resize(bytes.len().next_multiple_of(windows.material_stride as usize), 0);
+    }
+    Ok(Some(upload.buffer("materials", &bytes, vk::BufferUsageFlags::UNIFORM_BUFFER)?))
 }
 
 fn upload_geometry(upload: &mut Upload, meshes: &Meshes) -> Result<Option<Geometry>, Error> {

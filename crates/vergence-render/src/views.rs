@@ -27,10 +27,8 @@ pub(crate) struct PackedFrame {
     pub lights: [PackedLight; MAX_LIGHTS as usize],
 }
 
-/// Rows of a transform in the shader: three for normals, three for each view.
-pub(crate) const fn rows_per_item(views: usize) -> usize {
-    3 + 3 * views
-}
+/// Rows of `Place` in the shader: three for normals, three for each view.
+pub(crate) const PLACE_ROWS: usize = 3 + 3 * MAX_VIEWS as usize;
 
 /// The late views of a frame. Head coordinates are those of the first view.
 #[derive(Clone, Debug)]
@@ -52,12 +50,6 @@ impl Eyes {
         let head_from_world =
             views.first().map_or(Isometry3::identity(), |view| view.world_from_eye.inverse());
         Self { head_from_world, eyes, count: views.len().min(MAX_VIEWS as usize) }
-    }
-
-    /// The middle of the eyes, world coordinates.
-    pub fn middle(&self) -> Point3<f64> {
-        let sum: Vector3<f64> = self.eyes[..self.count].iter().map(|(_, place)| place.coords).sum();
-        Point3::from(sum / self.count.max(1) as f64)
     }
 
     /// Turns the linear part of world_from_part into the axes of head and eyes: what parts of one node share.
@@ -133,7 +125,7 @@ mod tests {
         let linear =
             nalgebra::UnitQuaternion::from_euler_angles(1.0, 0.3, 0.2).to_rotation_matrix().into_inner();
         let place = Point3::from(views[0].world_from_eye.translation.vector) + Vector3::new(0.2, -0.4, 1.0);
-        let mut rows = vec![[0.0; 4]; rows_per_item(2)];
+        let mut rows = vec![[0.0; 4]; PLACE_ROWS];
         eyes.write_rows(&eyes.axes(&linear), &place, &mut rows);
         let (left, right) = (&rows[3..6], &rows[6..9]);
         for r in 0..3 {
