@@ -70,9 +70,10 @@ pub fn vergence() -> PathBuf {
         .clone()
 }
 
-/// The one object that `--json` promises as the last thing on stdout; `None` where there is none.
+/// The one object that `--json` promises as the last thing on stdout; `None` where there is none. What a C library printed is
+/// flushed at the end of the process, and may follow.
 #[must_use]
 pub fn last_object(stdout: &str) -> Option<serde_json::Value> {
     let start = if stdout.starts_with('{') { 0 } else { stdout.find("\n{")? + 1 };
-    serde_json::from_str(&stdout[start..]).ok()
+    serde_json::Deserializer::from_str(&stdout[start..]).into_iter().next()?.ok()
 }
