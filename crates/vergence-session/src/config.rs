@@ -48,6 +48,10 @@ pub struct RunConfig {
     pub patience_s: f64,
     /// How often a lost session is asked for anew. Default 3.
     pub retries: u32,
+    /// Mirrors the pictures in a window and ends when that is closed. The simulated headset then keeps to the wall clock,
+    /// and where no motion is named, mouse and keys move its user: drag to look, W A S D and Q E to go, right button or
+    /// space to take.
+    pub window: bool,
     /// The renderer's knobs.
     pub quality: Quality,
     /// Pictures, poses and the report as files.
@@ -79,6 +83,7 @@ impl Default for RunConfig {
             wait_s: 0.0,
             patience_s: 60.0,
             retries: 3,
+            window: false,
             quality: Quality::default(),
             capture: None,
             log_poses: None,

@@ -18,6 +18,9 @@ pub enum Error {
     /// Vulkan failed.
     #[error(transparent)]
     Gpu(#[from] vergence_gpu::Error),
+    /// There is no window.
+    #[error(transparent)]
+    Window(#[from] vergence_window::Error),
     /// A result could not be written.
     #[error("{path}: {source}")]
     Write {
@@ -44,6 +47,7 @@ impl Error {
             self,
             Self::Call(_)
                 | Self::Simulated(_)
+                | Self::Window(_)
                 | Self::Render(vergence_render::Error::Range { .. })
                 | Self::Render(vergence_render::Error::Gpu(vergence_gpu::Error::Unsupported { .. }))
                 | Self::Gpu(vergence_gpu::Error::Unsupported { .. })

@@ -11,6 +11,7 @@ use vergence_time::{Span, Timestamp};
 use vergence_xr::{Client, Frame, Located, Notice, SessionDesc, State, in_world};
 
 use crate::capture::Picture;
+use crate::desk::Desk;
 use crate::error::Error;
 use crate::headset::Chosen;
 use crate::place;
@@ -82,6 +83,9 @@ impl OurCpu {
 pub(crate) fn play(run: &mut Run<'_>, chosen: &Chosen) -> Result<End, Error> {
     let mut session = start(run, chosen)?;
     let ended = frames(run, &mut session);
+    if let Some(desk) = &mut run.desk {
+        desk.detach();
+    }
     if let Err(error) = session.device.wait_idle() {
         log::warn!("{error}");
     }
@@ -101,9 +105,14 @@ pub(crate) fn play(run: &mut Run<'_>, chosen: &Chosen) -> Result<End, Error> {
 fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     let mut creator = chosen.connection.vulkan_creator();
     let validation = run.config.validation;
-    let desc = gpu::InstanceDesc { app_name: "vergence", validation, surface: None };
+    let surface = run.desk.as_ref().and_then(Desk::display);
+    let desc = gpu::InstanceDesc { app_name: "vergence", validation, surface };
     let instance = gpu::Instance::new(&desc, Some(&mut creator))?;
-    let device = gpu::Device::new(&instance, &gpu::DeviceDesc::default(), Some(&mut creator))?;
+    let device_desc = gpu::DeviceDesc { present: surface.is_some(), ..gpu::DeviceDesc::default() };
+    let device = gpu::Device::new(&instance, &device_desc, Some(&mut creator))?;
+    if let Some(desk) = &mut run.desk {
+        desk.attach(&device)?;
+    }
     gpu::set_driver_clock(true);
     run.config.quality.check(device.limits())?;
 
@@ -192,7 +201,12 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
                 std::thread::sleep(IDLE_POLL);
             }
         }
-        if leaving.is_none() && is_over(run) {
+        let closed = run.desk.as_mut().is_some_and(Desk::follow);
+        if leaving.is_none() && (closed || is_over(run)) {
+            if !state.is_running() {
+                // Nothing to say farewell to.
+                return Ok(End::Over(State::Exiting));
+            }
             session.client.request_exit()?;
             leaving = Some(Instant::now());
         }
@@ -200,7 +214,8 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
             run.say("the runtime did not end the session in time; leaving without its answer");
             return Ok(End::Over(session.client.state()));
         }
-        if last_shown.elapsed() > patience {
+        // Who has a window can close it.
+        if run.desk.is_none() && last_shown.elapsed() > patience {
             return Err(Error::Stalled {
                 waited_s: patience.as_secs(),
                 state: session.client.state().sentence(),
@@ -265,6 +280,9 @@ fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool)
 
     let drawn = OurCpu::now(&session.client);
     photograph(run, session, &frame, &shown, head.as_ref(), &images)?;
+    if let Some(desk) = &mut run.desk {
+        desk.show(images.color.image(), session.client.pictures().views)?;
+    }
     let photographed = OurCpu::now(&session.client);
     session.client.end(&frame, Some(&shown))?;
     let ended = OurCpu::now(&session.client);

@@ -9,6 +9,7 @@ use vergence_xr_sim::{ClockMode, Config, Motion, PoseProvider, Profile, Runtime,
 
 use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
+use crate::desk::ByHand;
 use crate::error::Error;
 
 const APP_NAME: &str = "vergence";
@@ -26,17 +27,18 @@ pub(crate) fn choose(
     config: &RunConfig,
     plan: &Plan,
     capture: Option<&Capture>,
+    by_hand: Option<ByHand>,
     say: &mut dyn FnMut(&str),
 ) -> Result<Chosen, Error> {
     match config.headset {
-        HeadsetChoice::Simulated => simulated(config, plan, capture, "asked for".into()),
+        HeadsetChoice::Simulated => simulated(config, plan, capture, by_hand, "asked for".into()),
         HeadsetChoice::OpenXr => {
             let connection = wait_for_real(config, plan, say)?;
             real(config, connection, "asked for".into())
         }
         HeadsetChoice::Auto => match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
             Ok(connection) => real(config, connection, "a runtime with a headset was found".into()),
-            Err(error) => simulated(config, plan, capture, format!("no real one: {error}")),
+            Err(error) => simulated(config, plan, capture, by_hand, format!("no real one: {error}")),
         },
     }
 }
@@ -79,6 +81,7 @@ fn simulated(
     config: &RunConfig,
     plan: &Plan,
     capture: Option<&Capture>,
+    by_hand: Option<ByHand>,
     why: String,
 ) -> Result<Chosen, Error> {
     let mut profile = match &config.profile {
@@ -91,14 +94,15 @@ fn simulated(
         }
         profile = profile.with_ipd(ipd_m);
     }
-    let motion: Box<dyn PoseProvider> = match config.motion.as_deref() {
-        None | Some("still") => Box::new(Still::default()),
-        Some(name) => Box::new(Motion::open(name)?),
+    let motion: Box<dyn PoseProvider> = match (config.motion.as_deref(), by_hand) {
+        (None, Some(by_hand)) => Box::new(by_hand),
+        (None | Some("still"), _) => Box::new(Still::default()),
+        (Some(name), _) => Box::new(Motion::open(name)?),
     };
     Runtime::configure(Config {
         profile,
         motion,
-        clock: if config.real_time { ClockMode::RealTime } else { ClockMode::Virtual },
+        clock: if config.real_time || config.window { ClockMode::RealTime } else { ClockMode::Virtual },
         frames: None,
         capture: capture.map(Capture::of_composed_pictures),
         render: true,

@@ -9,7 +9,7 @@
 //!
 //! ```no_run
 //! use vergence_session::{RunConfig, run};
-//! let scene = vergence_scene::load("room.glb".as_ref(), &vergence_scene::Limits::default())?;
+//! let scene = std::sync::Arc::new(vergence_scene::load("room.glb".as_ref(), &vergence_scene::Limits::default())?);
 //! let report = run(&scene, &RunConfig { frames: Some(300), ..RunConfig::default() }, &mut |_| {})?;
 //! println!("{} frames on {}", report.frames, report.headset);
 //! # Ok::<(), Box<dyn std::error::Error>>(())
@@ -19,6 +19,7 @@
 
 mod capture;
 mod config;
+mod desk;
 mod error;
 mod frame_loop;
 mod headset;

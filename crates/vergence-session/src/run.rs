@@ -9,6 +9,7 @@ use vergence_xr::State;
 
 use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
+use crate::desk::Desk;
 use crate::error::Error;
 use crate::frame_loop::{self, End};
 use crate::headset;
@@ -41,6 +42,7 @@ pub(crate) struct Run<'a> {
     pub(crate) tally: Tally,
     pub(crate) capture: Option<Capture>,
     pub(crate) pose_log: Option<PoseLog>,
+    pub(crate) desk: Option<Desk>,
     pub(crate) report: RunReport,
     pub(crate) watch: &'a mut dyn FnMut(Happening<'_>),
 }
@@ -83,6 +85,7 @@ pub fn run(
         tally: Tally::default(),
         capture,
         pose_log,
+        desk: if config.window { Some(Desk::open()?) } else { None },
         report: RunReport::default(),
         watch,
     };
@@ -125,7 +128,8 @@ fn sessions(run: &mut Run<'_>) -> Result<(), Error> {
     loop {
         let config = run.config.clone();
         let (watch, notices) = (&mut *run.watch, &mut run.report.notices);
-        let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), &mut |sentence| {
+        let by_hand = run.desk.as_ref().map(Desk::user);
+        let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, &mut |sentence| {
             watch(Happening::Said(sentence));
             notices.push(sentence.to_owned());
         })?;

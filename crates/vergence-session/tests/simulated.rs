@@ -1,5 +1,7 @@
 //! The client and the session against the simulated headset: whole runs, every loss, what is shown and what is not made.
 
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
 use std::path::PathBuf;
 use std::sync::Arc;
 

@@ -37,7 +37,7 @@ pub struct Args {
     /// Ends after so many frames
     #[arg(long, value_name = "N", conflicts_with = "seconds")]
     frames: Option<u64>,
-    /// Ends after so many seconds [default: 10]
+    /// Ends after so many seconds [default: 10; with --window: never]
     #[arg(long, value_name = "S")]
     seconds: Option<f64>,
     /// Waits for a headset that is not there yet
@@ -46,6 +46,9 @@ pub struct Args {
     /// Gives up where no frame is shown for so long
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     patience: f64,
+    /// Mirrors the pictures in a window until it is closed; drag to look, W A S D and Q E to go, right button to take
+    #[arg(long)]
+    window: bool,
     /// Writes stereo pictures, the poses they were seen from, and the report into a folder
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
@@ -144,7 +147,8 @@ impl Args {
             ipd_m: self.ipd.map(|mm| mm * 1e-3),
             real_time: self.real_time,
             frames: self.frames,
-            seconds: self.seconds.or(self.frames.is_none().then_some(DEFAULT_SECONDS)),
+            seconds: self.seconds.or((self.frames.is_none() && !self.window).then_some(DEFAULT_SECONDS)),
+            window: self.window,
             wait_s: self.wait,
             patience_s: self.patience,
             quality,
