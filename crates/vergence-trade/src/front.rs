@@ -1,6 +1,6 @@
 use std::cmp::Ordering;
 
-use crate::{Error, Measurement, Trade};
+use crate::{Error, Measurement, Trade, Value};
 
 /// What a choice must keep.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,6 +62,38 @@ impl Trade {
             limit: most,
             nearest: nearest.map(|(found, i)| (found, value(i).setting.to_string())),
         })
+    }
+
+    /// Pairs of values of one knob that nothing tells apart: with all other knobs equal, all errors are equal to the
+    /// last bit (a driver that takes a knob as on or off, a scene that does not use it). Index of the knob, then
+    /// of its two values. O(n² · values).
+    pub fn indistinct(&self) -> Vec<(usize, usize, usize)> {
+        let mut pairs = Vec::new();
+        for (k, knob) in self.knobs.iter().enumerate() {
+            for b in 1..knob.values.len() {
+                for a in 0..b {
+                    if self.same_errors(k, &knob.values[a], &knob.values[b]) {
+                        pairs.push((k, a, b));
+                    }
+                }
+            }
+        }
+        pairs
+    }
+
+    /// Whether knob `k` at `a` and at `b` was measured at least once with all others equal, and never differed.
+    fn same_errors(&self, k: usize, a: &Value, b: &Value) -> bool {
+        let at = |value: &'_ Value| -> Vec<&Measurement> {
+            self.measurements.iter().filter(|m| m.setting.0[k].1 == *value).collect()
+        };
+        let others = |m: &Measurement, n: &Measurement| {
+            m.setting.0.iter().zip(&n.setting.0).enumerate().all(|(i, (x, y))| i == k || x == y)
+        };
+        let (at_a, at_b) = (at(a), at(b));
+        let mut twins =
+            at_a.iter().flat_map(|m| at_b.iter().filter(|n| others(m, n)).map(move |n| (m, n))).peekable();
+        let bits = |m: &Measurement| m.errors.iter().map(|e| e.to_bits()).collect::<Vec<_>>();
+        twins.peek().is_some() && twins.all(|(m, n)| bits(m) == bits(n))
     }
 
     fn finite(&self, cost: usize, error: usize) -> impl Iterator<Item = (usize, f64, f64)> + '_ {

@@ -126,3 +126,21 @@ fn what_does_not_fit_is_refused() {
     let json = serde_json::to_string(&trade).unwrap();
     assert!(json.contains("\"setting\":{\"msaa\":4},\"costs\":[1.0],\"errors\":[null]"), "{json}");
 }
+
+#[test]
+fn a_knob_that_turns_nothing_is_noticed() {
+    let knobs = vec![
+        Knob::new("a", "", [1.0, 2.0, 3.0].map(Value::from).into()),
+        Knob::new("b", "", vec![Value::from(false), Value::from(true)]),
+    ];
+    let mut trade = Trade::new("t", knobs, vec![Scale::new("c", "")], vec![Scale::new("e", "")]).unwrap();
+    assert!(trade.indistinct().is_empty(), "nothing was measured");
+    // 2 and 3 are the same; b always matters.
+    for (setting, error) in trade.grid().into_iter().zip([1.0, 2.0, 0.5, 0.75, 0.5, 0.75]) {
+        trade.push(Measurement { setting, costs: vec![1.0], errors: vec![error] }).unwrap();
+    }
+    assert_eq!(trade.indistinct(), [(0, 1, 2)]);
+    let setting = trade.grid()[5].clone();
+    trade.push(Measurement { setting, costs: vec![1.0], errors: vec![0.76] }).unwrap();
+    assert!(trade.indistinct().is_empty(), "once they differed");
+}

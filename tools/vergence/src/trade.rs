@@ -172,6 +172,9 @@ impl RenderTrade {
             let text = quality_of(&m.setting).to_toml().map_err(|e| Failure::work(&e))?;
             save("quality.toml", text.as_bytes())?;
         }
+        for sentence in without_effect(&measured.all) {
+            page = page.paragraph(&sentence);
+        }
         let several = measured.scenes.len() > 1;
         let all = several.then_some(("trade", &measured.all));
         for (name, trade) in
@@ -213,6 +216,7 @@ impl RenderTrade {
             "error": measured.all.errors()[error],
             "all": one(&measured.all),
             "scenes": scenes.collect::<serde_json::Map<_, _>>(),
+            "without_effect": without_effect(&measured.all),
             "chosen": chosen.map(|index| &measured.all.measurements()[index]),
         })
     }
@@ -231,6 +235,9 @@ impl RenderTrade {
             measured.all.errors()[error].title(),
             measured.all.table(cost, error).to_text()
         );
+        for sentence in without_effect(&measured.all) {
+            let _ = writeln!(text, "{sentence}");
+        }
         if let Some(index) = chosen {
             let m = &measured.all.measurements()[index];
             let (cost_name, error_name) =
@@ -246,6 +253,15 @@ impl RenderTrade {
         let _ = writeln!(text, "look at it: {}", self.output.join("trade.html").display());
         print!("{text}");
     }
+}
+
+/// A sentence for each pair of values of a knob that gives the same pictures.
+fn without_effect(trade: &Trade) -> Vec<String> {
+    let sentence = |(knob, a, b): (usize, usize, usize)| {
+        let knob = &trade.knobs()[knob];
+        format!("{} {} and {} give the same pictures here.", knob.name, knob.values[a], knob.values[b])
+    };
+    trade.indistinct().into_iter().map(sentence).collect()
 }
 
 /// The knobs of a setting, as a file.
