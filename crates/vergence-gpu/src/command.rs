@@ -12,7 +12,7 @@ use ash::vk;
 use crate::buffer::Buffer;
 use crate::descriptor::DescriptorSet;
 use crate::device::{Counters, Device};
-use crate::driver_clock::blocking;
+use crate::driver_clock::{blocking, quick};
 use crate::encoder::Encoder;
 use crate::error::{At, Error};
 use crate::image::{Image, ImageView};
@@ -180,17 +180,23 @@ impl CommandBuffer {
         self.kept.clear();
         self.executable = false;
         // SAFETY: the last submission is complete, so the pool's one buffer is not pending.
-        unsafe { self.device.raw.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty()) }
-            .at("vkResetCommandPool")?;
+        quick(|| unsafe {
+            self.device.raw.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
+        })
+        .at("vkResetCommandPool")?;
         // SAFETY: the buffer was just reset.
-        unsafe { self.device.raw.begin_command_buffer(self.raw, &vk::CommandBufferBeginInfo::default()) }
-            .at("vkBeginCommandBuffer")?;
+        quick(|| unsafe {
+            self.device.raw.begin_command_buffer(self.raw, &vk::CommandBufferBeginInfo::default())
+        })
+        .at("vkBeginCommandBuffer")?;
         if let Some(timer) = &mut self.timer {
             timer.names.clear();
             timer.unread = false;
             timer.overflow = false;
             // SAFETY: the buffer is recording, outside of rendering.
-            unsafe { self.device.raw.cmd_reset_query_pool(self.raw, timer.pool, 0, 2 * timer.capacity) };
+            quick(|| unsafe {
+                self.device.raw.cmd_reset_query_pool(self.raw, timer.pool, 0, 2 * timer.capacity)
+            });
         }
         Ok(Encoder::new(self))
     }
@@ -237,8 +243,10 @@ impl CommandBuffer {
         }
         let raw = &mut timer.raw[..2 * timer.names.len()];
         // SAFETY: the pool has these queries, and the submission that wrote them is complete.
-        unsafe { self.device.raw.get_query_pool_results(timer.pool, 0, raw, vk::QueryResultFlags::TYPE_64) }
-            .at("vkGetQueryPoolResults")?;
+        quick(|| unsafe {
+            self.device.raw.get_query_pool_results(timer.pool, 0, raw, vk::QueryResultFlags::TYPE_64)
+        })
+        .at("vkGetQueryPoolResults")?;
         let mask = if bits >= 64 { u64::MAX } else { (1 << bits) - 1 };
         for (name, ticks) in timer.names.iter().zip(raw.chunks_exact(2)) {
             timer

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use ash::vk;
 
 use crate::device::{Counters, Device};
+use crate::driver_clock::quick;
 use crate::error::{At, Error};
 
 /// What a resource is used for, before or after a barrier: stages, accesses and (for images) the layout in one word.
@@ -163,7 +164,8 @@ impl Timeline {
     /// When the device is lost.
     pub fn value(&self) -> Result<u64, Error> {
         // SAFETY: the semaphore is a timeline.
-        unsafe { self.device.raw.get_semaphore_counter_value(self.raw) }.at("vkGetSemaphoreCounterValue")
+        quick(|| unsafe { self.device.raw.get_semaphore_counter_value(self.raw) })
+            .at("vkGetSemaphoreCounterValue")
     }
 
     /// Waits on the host until the value is reached, at most `timeout_ns`.
@@ -187,7 +189,7 @@ impl Timeline {
         }
         let info = vk::SemaphoreSignalInfo::default().semaphore(self.raw).value(value);
         // SAFETY: the semaphore is a timeline, and the value is larger than its present one.
-        unsafe { self.device.raw.signal_semaphore(&info) }.at("vkSignalSemaphore")
+        quick(|| unsafe { self.device.raw.signal_semaphore(&info) }).at("vkSignalSemaphore")
     }
 }
 
