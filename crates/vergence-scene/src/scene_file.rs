@@ -321,15 +321,17 @@ impl Builder<'_, '_> {
             if !(-10.0..=10.0).contains(&normal_scale) {
                 return Err(self.invalid(at, format!("expected normal_scale up to 10, found {normal_scale}")));
             }
-            let tile = match &material.tile {
-                Some(tile) if !(tile.0 > 1e-6 && tile.0 < 1e6) => {
-                    return Err(
-                        self.invalid(at, format!("expected tile from 1e-6 to 1e6 m, found {}", tile.0))
-                    );
-                }
-                tile => tile.as_ref().map_or(1.0, |tile| tile.0),
+            let tile = material.tile.map_or([1.0; 2], |tile| tile.0);
+            if !tile.iter().all(|length| (1e-6..=1e6).contains(length)) {
+                return Err(self.invalid(at, format!("expected tile from 1e-6 to 1e6 m, found {tile:?}")));
+            }
+            let per_metre = tile.map(|length| (1.0 / length) as f32);
+            let emissive_texture = self.texture(material.emissive_texture.as_ref(), per_metre)?;
+            let emissive = match (material.emissive, emissive_texture) {
+                (Some(color), _) => color.0,
+                (None, Some(_)) => [1.0; 3],
+                (None, None) => [0.0; 3],
             };
-            let per_metre = (1.0 / tile) as f32;
             let base_color_texture = self.texture(material.texture.as_ref(), per_metre)?;
             let normal_texture = self.texture(material.normal_texture.as_ref(), per_metre)?;
             let texture = self.texture(material.roughness_texture.as_ref(), per_metre)?;
@@ -346,8 +348,10 @@ impl Builder<'_, '_> {
                 base_color_texture,
                 normal_texture,
                 normal_scale,
-                emissive: material.emissive.map_or([0.0; 3], |color| color.0),
-                alpha: if alpha < 1.0 { Alpha::Blend } else { Alpha::Opaque },
+                emissive,
+                emissive_texture,
+                // An opacity that is given, even 1, is a wish to blend by the texture's alpha.
+                alpha: if material.opacity.is_some() { Alpha::Blend } else { Alpha::Opaque },
                 double_sided: material.double_sided,
                 ..Material::default()
             });
@@ -358,7 +362,7 @@ impl Builder<'_, '_> {
     fn texture(
         &mut self,
         file: Option<&Spanned<String>>,
-        per_metre: f32,
+        per_metre: [f32; 2],
     ) -> Result<Option<TextureRef>, Error> {
         let Some(file) = file else { return Ok(None) };
         let name = file.get_ref();
@@ -386,7 +390,7 @@ impl Builder<'_, '_> {
         Ok(Some(TextureRef {
             texture: self.scene.textures.len() - 1,
             uv_set: 0,
-            uv_from_uv: [[per_metre, 0.0, 0.0], [0.0, per_metre, 0.0]],
+            uv_from_uv: [[per_metre[0], 0.0, 0.0], [0.0, per_metre[1], 0.0]],
         }))
     }
 

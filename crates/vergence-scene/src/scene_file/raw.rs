@@ -108,8 +108,9 @@ pub(super) struct Material {
     pub roughness: Option<f32>,
     pub opacity: Option<f32>,
     pub emissive: Option<Color>,
-    /// The texture repeats after this length.
-    pub tile: Option<Coordinate>,
+    pub emissive_texture: Option<Spanned<String>>,
+    /// The textures repeat after this length (or these: across, down).
+    pub tile: Option<Tile>,
     #[serde(default)]
     pub unlit: bool,
     #[serde(default)]
@@ -197,6 +198,38 @@ impl<'de> Deserialize<'de> for Coordinate {
             fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Coordinate, E> {
                 Length::deserialize(serde::de::value::StrDeserializer::new(text))
                     .map(|length| Coordinate(length.metres()))
+            }
+        }
+        deserializer.deserialize_any(Expected)
+    }
+}
+
+/// One length, or two.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Tile(pub [f64; 2]);
+
+impl<'de> Deserialize<'de> for Tile {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Expected;
+        impl<'de> Visitor<'de> for Expected {
+            type Value = Tile;
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str("a length (a number in metres, or a string with its unit), or two of them")
+            }
+            fn visit_f64<E>(self, metres: f64) -> Result<Tile, E> {
+                Ok(Tile([metres; 2]))
+            }
+            fn visit_i64<E>(self, metres: i64) -> Result<Tile, E> {
+                Ok(Tile([metres as f64; 2]))
+            }
+            fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Tile, E> {
+                Length::deserialize(serde::de::value::StrDeserializer::new(text))
+                    .map(|length| Tile([length.metres(); 2]))
+            }
+            fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Tile, A::Error> {
+                let [u, v] =
+                    <[Coordinate; 2]>::deserialize(serde::de::value::SeqAccessDeserializer::new(seq))?;
+                Ok(Tile([u.0, v.0]))
             }
         }
         deserializer.deserialize_any(Expected)
