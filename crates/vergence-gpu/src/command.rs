@@ -180,12 +180,12 @@ impl CommandBuffer {
         self.kept.clear();
         self.executable = false;
         // SAFETY: the last submission is complete, so the pool's one buffer is not pending.
-        quick(|| unsafe {
+        blocking(|| unsafe {
             self.device.raw.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
         })
         .at("vkResetCommandPool")?;
         // SAFETY: the buffer was just reset.
-        quick(|| unsafe {
+        blocking(|| unsafe {
             self.device.raw.begin_command_buffer(self.raw, &vk::CommandBufferBeginInfo::default())
         })
         .at("vkBeginCommandBuffer")?;
@@ -243,7 +243,7 @@ impl CommandBuffer {
         }
         let raw = &mut timer.raw[..2 * timer.names.len()];
         // SAFETY: the pool has these queries, and the submission that wrote them is complete.
-        quick(|| unsafe {
+        blocking(|| unsafe {
             self.device.raw.get_query_pool_results(timer.pool, 0, raw, vk::QueryResultFlags::TYPE_64)
         })
         .at("vkGetQueryPoolResults")?;

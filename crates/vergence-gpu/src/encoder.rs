@@ -13,7 +13,7 @@ use bytemuck::Pod;
 use crate::buffer::Buffer;
 use crate::command::{CommandBuffer, Kept};
 use crate::descriptor::DescriptorSet;
-use crate::driver_clock::quick;
+use crate::driver_clock::{blocking, quick};
 use crate::error::{At, Error};
 use crate::image::{Image, ImageView};
 use crate::pipeline::{ComputePipeline, GraphicsPipeline, MAX_COLORS, PipelineLayout};
@@ -271,7 +271,7 @@ impl<'a> Encoder<'a> {
             return Err(Error::Recording { name: self.commands.name().into(), detail });
         }
         // SAFETY: the buffer is recording, outside of rendering.
-        quick(|| unsafe { self.commands.device.raw.end_command_buffer(self.commands.raw) })
+        blocking(|| unsafe { self.commands.device.raw.end_command_buffer(self.commands.raw) })
             .at("vkEndCommandBuffer")?;
         self.commands.executable = true;
         Ok(())
