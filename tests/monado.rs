@@ -88,7 +88,14 @@ fn a_scene_runs_on_monado_to_focused_and_ends_cleanly() {
     for call in ["xrRequestExitSession", "xrEndSession", "xrDestroySession", "xrDestroyInstance"] {
         assert!(calls.contains(&format!("XrResult {call}\n")), "{call} was never called\n{}", run.story());
     }
-    assert!(run.stdout().to_lowercase().contains("focused"), "never focused\n{}", run.story());
+    let states: Vec<String> = report["states"]
+        .as_array()
+        .expect("a list of states")
+        .iter()
+        .map(|s| s.to_string().to_lowercase())
+        .collect();
+    assert!(states.iter().any(|state| state.contains("focused")), "never focused: {states:?}");
+    assert!(report["state"].to_string().to_lowercase().contains("exiting"), "{report}");
     assert_eq!(run.complaints(), Vec::<String>::new());
 }
 

@@ -1,5 +1,7 @@
 //! Row 2: where points land, at every field of view, eye distance and world scale.
 //!
+//! A world scale multiplies the scene, the eyes' distance and the near plane: a user who has become that much larger.
+//!
 //! Every vertex colour is a place in its square, so each covered pixel of a floating-point picture says which point of
 //! the square its middle shows. The f64 truth is the intersection of that pixel's ray with the square.
 
@@ -25,14 +27,16 @@ struct Square {
     height_m: f64,
 }
 
-/// Squares parallel to the picture, at three distances and all over it, as seen from between the eyes.
+/// Squares parallel to the picture, from just behind the near plane to 100 km and all over it, as seen from between the eyes.
 fn squares(fov: &Fov, scale: f64) -> Vec<Square> {
     let [l, r, u, d] = fov.tangents();
     let mut squares = Vec::new();
     for (distance, places) in [
-        (0.2, [(0.15, 0.2), (0.85, 0.15)]),
+        (0.06, [(0.15, 0.2), (0.85, 0.15)]),
         (3.0, [(0.5, 0.5), (0.15, 0.85)]),
-        (400.0, [(0.85, 0.85), (0.5, 0.12)]),
+        (0.2, [(0.33, 0.35), (0.67, 0.3)]),
+        (400.0, [(0.3, 0.67), (0.68, 0.68)]),
+        (1e5, [(0.85, 0.85), (0.5, 0.12)]),
     ] {
         let depth = distance * scale;
         for (s, t) in places {
@@ -110,5 +114,14 @@ pub fn run(bench: &mut Bench, table: &mut Table) {
     for scale in [1e-3, 1e-1, 1e1, 1e3] {
         let name = format!("projection, asymmetric FOV, world scale {scale:e}");
         case(bench, table, name, asymmetric, 0.063, scale);
+    }
+    // Both ends of all three at once.
+    for degrees in [1.0, 179.0] {
+        for ipd_m in [0.0, 1.0] {
+            for scale in [1e-3, 1e3] {
+                let name = format!("projection, FOV {degrees} deg, IPD {ipd_m} m, world scale {scale:e}");
+                case(bench, table, name, square_fov(degrees), ipd_m, scale);
+            }
+        }
     }
 }

@@ -9,7 +9,7 @@ use serde_json::Value;
 pub struct Located {
     /// When the frame is to be seen, in the runtime's time.
     pub predicted_display_ns: i64,
-    /// Position (m), then quaternion x, y, z, w.
+    /// Position (m), then quaternion x, y, z, w; infinite where the head was not located.
     pub head: [f64; 7],
     /// Left, right; as the head.
     pub eyes: [[f64; 7]; 2],
@@ -37,7 +37,7 @@ pub fn located(file: &Path) -> Vec<Located> {
             predicted_display_ns: value["predicted_display_ns"]
                 .as_i64()
                 .expect("predicted_display_ns is a whole number"),
-            head: numbers(&value["head"]),
+            head: if value["head"].is_null() { [f64::INFINITY; 7] } else { numbers(&value["head"]) },
             eyes: [0, 1].map(|eye: usize| numbers(&value["eyes"][eye]["pose"])),
             fovs: [0, 1].map(|eye: usize| numbers(&value["eyes"][eye]["fov"])),
         }

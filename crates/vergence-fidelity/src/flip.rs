@@ -3,7 +3,7 @@
 
 use crate::{Error, Picture, convolve::Plane, srgb::linear_from_encoded};
 
-/// What the paper assumes: a 0.69 m wide display of 3840 pixels seen from 0.70 m.
+/// What the paper assumes: a display of 3840 pixels, 0.70 m wide, seen from 0.70 m.
 pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.0;
 
 /// Least angular resolution that is accepted: about a pixel per degree, below which the filters vanish.
@@ -279,6 +279,6 @@ mod tests {
 
     #[test]
     fn the_default_resolution_is_the_papers_display() {
-        assert!((pixels_per_degree(0.70, 3840.0, 0.69) - 67.0).abs() < 1.1);
+        assert!((pixels_per_degree(0.70, 3840.0, 0.70) - DEFAULT_PIXELS_PER_DEGREE).abs() < 0.03);
     }
 }

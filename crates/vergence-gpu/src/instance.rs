@@ -147,7 +147,19 @@ impl Instance {
         if validation {
             layer_names.push(VALIDATION_LAYER.as_ptr());
             extensions.push(ash::ext::debug_utils::NAME.as_ptr());
+        }
+        // Layers may give this extension up for a newer one; without it they validate all the same, but not synchronization.
+        // SAFETY: the entry is valid, the layer's name a C string.
+        let of_layer = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION_LAYER)) };
+        let synchronization = validation
+            && of_layer.is_ok_and(|offered| {
+                let wanted = ash::ext::validation_features::NAME;
+                offered.iter().any(|e| e.extension_name_as_c_str() == Ok(wanted))
+            });
+        if synchronization {
             extensions.push(ash::ext::validation_features::NAME.as_ptr());
+        } else if validation {
+            log::warn!("the Vulkan validation layer does not validate synchronization");
         }
 
         let messages = Arc::new(Messages::default());
@@ -164,14 +176,24 @@ impl Instance {
             .enabled_layer_names(&layer_names)
             .enabled_extension_names(&extensions);
         if validation {
-            info = info.push_next(&mut features).push_next(&mut messenger_info);
+            info = info.push_next(&mut messenger_info);
+        }
+        if synchronization {
+            info = info.push_next(&mut features);
         }
         let get = entry.static_fn().get_instance_proc_addr;
         let handle = match creator {
             // SAFETY: `info` borrows only locals that live until the end of this function.
             Some(creator) => unsafe { creator.create_instance(get, &info) }?,
-            // SAFETY: as above; the extensions were checked.
-            None => unsafe { entry.create_instance(&info, None) }.at("vkCreateInstance")?.handle(),
+            None => {
+                // SAFETY: as above; the extensions were checked.
+                match unsafe { entry.create_instance(&info, None) } {
+                    Err(vk::Result::ERROR_INCOMPATIBLE_DRIVER) => {
+                        return Err(Error::NoDevice { detail: "the loader is there, but no driver".into() });
+                    }
+                    made => made.at("vkCreateInstance")?.handle(),
+                }
+            }
         };
         // SAFETY: the handle was just made, by the loader or by a creator who promises that it is valid.
         let raw = unsafe { ash::Instance::load(entry.static_fn(), handle) };

@@ -26,6 +26,13 @@ pub struct Args {
 #[derive(Subcommand)]
 enum What {
     /// Multisampling, anisotropy, render scale and normal maps: time per stereo frame against error
+    ///
+    /// The truth is the same view with 16 shading samples per pixel (4 x 4, each with the most edge samples,
+    /// anisotropy and all normal maps), averaged in linear light. A picture of another render scale is stretched
+    /// bilinearly in linear light, as a headset does, and compared at the truth's size. Errors are the mean of both
+    /// eyes; with several scenes, a setting costs and errs as much as in its worst scene. Written to the folder:
+    /// trade.html, trade.json, a plot (.svg), truth and cheapest picture (.png) for each scene, and with --budget or
+    /// --error quality.toml.
     Render(RenderTrade),
 }
 
@@ -38,11 +45,6 @@ impl Args {
     }
 }
 
-/// The truth is the same view with 16 shading samples per pixel (4 x 4, each with the most edge samples, anisotropy
-/// and all normal maps), averaged in linear light. A picture of another render scale is stretched bilinearly in
-/// linear light, as a headset does, and compared at the truth's size. Errors are the mean of both eyes; with several
-/// scenes, a setting costs and errs as much as in its worst scene. Written to the folder: trade.html, trade.json, a plot
-/// (.svg), truth and cheapest picture (.png) for each scene, and with --budget or --error quality.toml.
 #[derive(clap::Args)]
 struct RenderTrade {
     /// Scenes to measure: .glb, .gltf, .obj, .ply or scene .toml
