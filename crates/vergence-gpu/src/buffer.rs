@@ -8,7 +8,8 @@ use bytemuck::Pod;
 use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 
-use crate::device::{Counters, Device};
+use crate::census::Counters;
+use crate::device::Device;
 use crate::error::{At, Error};
 
 /// Where a buffer lives.

@@ -10,8 +10,9 @@ use std::sync::atomic::Ordering;
 use ash::vk;
 
 use crate::buffer::Buffer;
+use crate::census::Counters;
 use crate::descriptor::DescriptorSet;
-use crate::device::{Counters, Device};
+use crate::device::Device;
 use crate::driver_clock::{blocking, quick};
 use crate::encoder::Encoder;
 use crate::error::{At, Error};

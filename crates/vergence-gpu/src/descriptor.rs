@@ -5,9 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ash::vk;
 
 use crate::buffer::Buffer;
-use crate::device::{Counters, Device};
+use crate::census::Counters;
+use crate::device::Device;
 use crate::error::{At, Error};
-use crate::image::{ImageView, Sampler};
+use crate::image::ImageView;
+use crate::sampler::Sampler;
 
 /// Sets allocated from one pool before another one is opened.
 const SETS_PER_POOL: u32 = 32;

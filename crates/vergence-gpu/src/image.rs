@@ -1,4 +1,4 @@
-//! Images, views of them, and samplers.
+//! Images, and views of them.
 
 use std::sync::Arc;
 
@@ -7,8 +7,10 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 
 use crate::buffer::lock_memory;
-use crate::device::{Counters, Device};
+use crate::census::Counters;
+use crate::device::Device;
 use crate::error::{At, Error};
+use crate::format::aspect_of;
 
 /// What an image is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -388,95 +390,6 @@ impl Drop for ImageView {
     }
 }
 
-/// How an image is sampled.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SamplerDesc {
-    /// Filter when magnified.
-    pub mag: vk::Filter,
-    /// Filter when minified.
-    pub min: vk::Filter,
-    /// Filter between mip levels.
-    pub mip: vk::SamplerMipmapMode,
-    /// What lies outside, along u and v.
-    pub address: [vk::SamplerAddressMode; 2],
-    /// Largest anisotropy; 1 is none. Clamped to nothing: more than the device has is an error.
-    pub anisotropy: f32,
-    /// Largest level of detail (default: no bound).
-    pub max_lod: f32,
-    /// Compares depth instead of filtering colour.
-    pub compare: Option<vk::CompareOp>,
-}
-
-impl Default for SamplerDesc {
-    fn default() -> Self {
-        Self {
-            mag: vk::Filter::LINEAR,
-            min: vk::Filter::LINEAR,
-            mip: vk::SamplerMipmapMode::LINEAR,
-            address: [vk::SamplerAddressMode::REPEAT; 2],
-            anisotropy: 1.0,
-            max_lod: vk::LOD_CLAMP_NONE,
-            compare: None,
-        }
-    }
-}
-
-/// A sampler.
-pub struct Sampler {
-    pub(crate) raw: vk::Sampler,
-    device: Arc<Device>,
-}
-
-impl Sampler {
-    /// Makes a sampler.
-    ///
-    /// # Errors
-    ///
-    /// More anisotropy than the device has.
-    pub fn new(device: &Arc<Device>, desc: &SamplerDesc) -> Result<Arc<Self>, Error> {
-        let max = device.limits().max_anisotropy;
-        if !(1.0..=max).contains(&desc.anisotropy) {
-            return Err(Error::Unsupported {
-                device: device.limits().name.clone(),
-                asked: format!("anisotropy {}", desc.anisotropy),
-                offered: format!("1 to {max}"),
-            });
-        }
-        let info = vk::SamplerCreateInfo::default()
-            .mag_filter(desc.mag)
-            .min_filter(desc.min)
-            .mipmap_mode(desc.mip)
-            .address_mode_u(desc.address[0])
-            .address_mode_v(desc.address[1])
-            .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE)
-            .anisotropy_enable(device.anisotropy && desc.anisotropy > 1.0)
-            .max_anisotropy(desc.anisotropy)
-            .compare_enable(desc.compare.is_some())
-            .compare_op(desc.compare.unwrap_or(vk::CompareOp::NEVER))
-            .min_lod(0.0)
-            .max_lod(desc.max_lod);
-        // SAFETY: the create info is complete and within the device's limits.
-        let raw = unsafe { device.raw.create_sampler(&info, None) }.at("vkCreateSampler")?;
-        Counters::add(&device.counters.samplers, 1);
-        Ok(Arc::new(Self { raw, device: Arc::clone(device) }))
-    }
-}
-
-impl Sampler {
-    /// The device that it lives on.
-    pub fn device(&self) -> &Arc<Device> {
-        &self.device
-    }
-}
-
-impl Drop for Sampler {
-    fn drop(&mut self) {
-        // SAFETY: descriptor sets that use the sampler hold an Arc of it.
-        unsafe { self.device.raw.destroy_sampler(self.raw, None) };
-        Counters::sub(&self.device.counters.samplers, 1);
-    }
-}
-
 /// Size of one side at a mip level, at least 1.
 fn mip_size(side: u32, mip: u32) -> u32 {
     side.checked_shr(mip).unwrap_or(0).max(1)
@@ -485,38 +398,6 @@ fn mip_size(side: u32, mip: u32) -> u32 {
 /// Number of mip levels from `width`×`height` down to 1×1.
 pub fn full_mips(width: u32, height: u32) -> u32 {
     32 - width.max(height).max(1).leading_zeros()
-}
-
-/// Depth, stencil or colour.
-pub(crate) fn aspect_of(format: vk::Format) -> vk::ImageAspectFlags {
-    match format {
-        vk::Format::D16_UNORM | vk::Format::D32_SFLOAT | vk::Format::X8_D24_UNORM_PACK32 => {
-            vk::ImageAspectFlags::DEPTH
-        }
-        vk::Format::D16_UNORM_S8_UINT | vk::Format::D24_UNORM_S8_UINT | vk::Format::D32_SFLOAT_S8_UINT => {
-            vk::ImageAspectFlags::DEPTH | vk::ImageAspectFlags::STENCIL
-        }
-        vk::Format::S8_UINT => vk::ImageAspectFlags::STENCIL,
-        _ => vk::ImageAspectFlags::COLOR,
-    }
-}
-
-/// Bytes of one texel as copied to or from a buffer (the depth aspect of depth formats); `None` for block-compressed formats.
-pub fn texel_bytes(format: vk::Format) -> Option<u64> {
-    use vk::Format as F;
-    Some(match format {
-        F::R8_UNORM | F::R8_SNORM | F::R8_UINT | F::R8_SRGB | F::S8_UINT => 1,
-        F::R8G8_UNORM | F::R8G8_SNORM | F::R16_SFLOAT | F::R16_UNORM | F::R16_UINT => 2,
-        F::D16_UNORM | F::D16_UNORM_S8_UINT => 2,
-        F::R8G8B8A8_UNORM | F::R8G8B8A8_SRGB | F::R8G8B8A8_SNORM | F::R8G8B8A8_UINT => 4,
-        F::B8G8R8A8_UNORM | F::B8G8R8A8_SRGB | F::A2B10G10R10_UNORM_PACK32 => 4,
-        F::B10G11R11_UFLOAT_PACK32 | F::R32_SFLOAT | F::R32_UINT | F::R32_SINT => 4,
-        F::R16G16_SFLOAT | F::R16G16_UNORM => 4,
-        F::D32_SFLOAT | F::D32_SFLOAT_S8_UINT | F::X8_D24_UNORM_PACK32 | F::D24_UNORM_S8_UINT => 4,
-        F::R16G16B16A16_SFLOAT | F::R16G16B16A16_UNORM | F::R32G32_SFLOAT | F::R32G32_UINT => 8,
-        F::R32G32B32A32_SFLOAT | F::R32G32B32A32_UINT => 16,
-        _ => return None,
-    })
 }
 
 #[cfg(test)]

@@ -5,8 +5,9 @@ use std::sync::Arc;
 
 use ash::vk;
 
+use crate::census::Counters;
 use crate::descriptor::SetLayout;
-use crate::device::{Counters, Device};
+use crate::device::Device;
 use crate::error::{At, Error};
 
 /// Most colour attachments of a pass.

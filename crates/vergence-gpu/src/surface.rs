@@ -6,8 +6,9 @@ use ash::vk;
 use raw_window_handle::{HasDisplayHandle, HasWindowHandle};
 
 use crate::buffer::{Buffer, Memory};
+use crate::census::Counters;
 use crate::command::CommandBuffer;
-use crate::device::{Counters, Device};
+use crate::device::Device;
 use crate::driver_clock::blocking;
 use crate::encoder::{Area, Encoder, ImageBarrier};
 use crate::error::{At, Error};

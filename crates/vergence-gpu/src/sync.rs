@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use ash::vk;
 
-use crate::device::{Counters, Device};
+use crate::census::Counters;
+use crate::device::Device;
 use crate::driver_clock::quick;
 use crate::error::{At, Error};
 

@@ -10,7 +10,8 @@ use crate::command::CommandBuffer;
 use crate::device::Device;
 use crate::encoder::{Area, BufferBarrier, ImageBarrier};
 use crate::error::Error;
-use crate::image::{Image, ImageDesc, texel_bytes};
+use crate::format::texel_bytes;
+use crate::image::{Image, ImageDesc};
 use crate::sync::Use;
 
 /// Makes device-local buffers and sampled images with content; each call waits until the copy is complete.

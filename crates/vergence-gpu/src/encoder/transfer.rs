@@ -4,11 +4,72 @@ use std::sync::Arc;
 
 use ash::vk;
 
-use super::{Area, Encoder, ImageBarrier};
+use super::{Encoder, ImageBarrier};
 use crate::buffer::Buffer;
 use crate::driver_clock::quick;
-use crate::image::{Image, texel_bytes};
+use crate::format::texel_bytes;
+use crate::image::Image;
 use crate::sync::Use;
+
+/// A rectangle of texels of one mip level of one layer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Area {
+    /// Layer.
+    pub layer: u32,
+    /// Mip level.
+    pub mip: u32,
+    /// Left, top.
+    pub min: (u32, u32),
+    /// Right, bottom (exclusive).
+    pub max: (u32, u32),
+}
+
+impl Area {
+    /// All of a layer at a mip level of `image`.
+    pub fn whole(image: &Image, layer: u32, mip: u32) -> Self {
+        Self { layer, mip, min: (0, 0), max: image.size(mip) }
+    }
+
+    fn fits(&self, image: &Image) -> bool {
+        let (width, height) = image.size(self.mip);
+        self.layer < image.layers()
+            && self.mip < image.mips()
+            && self.min.0 < self.max.0
+            && self.min.1 < self.max.1
+            && self.max.0 <= width
+            && self.max.1 <= height
+    }
+
+    fn subresource(&self, image: &Image) -> vk::ImageSubresourceLayers {
+        // Copies name one aspect; of a depth and stencil image the depth is meant.
+        let aspect = match image.aspect() {
+            both if both.contains(vk::ImageAspectFlags::DEPTH) => vk::ImageAspectFlags::DEPTH,
+            other => other,
+        };
+        vk::ImageSubresourceLayers {
+            aspect_mask: aspect,
+            mip_level: self.mip,
+            base_array_layer: self.layer,
+            layer_count: 1,
+        }
+    }
+
+    fn offset(&self) -> vk::Offset3D {
+        vk::Offset3D { x: self.min.0 as i32, y: self.min.1 as i32, z: 0 }
+    }
+
+    fn end(&self) -> vk::Offset3D {
+        vk::Offset3D { x: self.max.0 as i32, y: self.max.1 as i32, z: 1 }
+    }
+
+    fn extent(&self) -> vk::Extent3D {
+        vk::Extent3D { width: self.max.0 - self.min.0, height: self.max.1 - self.min.1, depth: 1 }
+    }
+
+    fn texels(&self) -> u64 {
+        u64::from(self.max.0 - self.min.0) * u64::from(self.max.1 - self.min.1)
+    }
+}
 
 impl Encoder<'_> {
     /// Copies bytes between buffers.
