@@ -65,8 +65,8 @@ impl Pass {
     /// As GPU times are reported.
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Skin => "skin",
-            Self::Draw => "draw",
+            Self::Skin => "skinning",
+            Self::Draw => "surfaces",
         }
     }
 

@@ -19,6 +19,7 @@
 
 mod capture;
 mod config;
+mod cost;
 mod desk;
 mod error;
 mod frame_loop;
@@ -32,6 +33,7 @@ mod targets;
 mod touch;
 
 pub use config::{CaptureConfig, HeadsetChoice, RunConfig};
+pub use cost::{Cost, cost_of};
 pub use error::Error;
 pub use place::start_of;
 pub use report::{Milliseconds, PassReport, RunReport, Touch};

@@ -1,6 +1,7 @@
 //! `vergence plan`: what a scene requires, and what is therefore built, requested and opened.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use serde_json::json;
 use vergence_plan::{Plan, Requests};
@@ -28,17 +29,26 @@ pub struct Args {
 impl Args {
     /// Makes the plan and prints it.
     pub fn run(self) -> Result<(), Failure> {
-        let scene = loading::scene(&self.scene)?;
+        let scene = Arc::new(loading::scene(&self.scene)?);
         let requests = Requests {
             normal_maps: !self.no_normal_maps,
             hand_joints: self.with.contains(&Stream::Hands),
             eye_gaze: self.with.contains(&Stream::Gaze),
         };
-        let report = Plan::of(&scene, &requests).report();
+        let plan = Plan::of(&scene, &requests);
+        let report = plan.report();
+        let built = vergence_session::cost_of(&scene, &plan);
+        if let Err(error) = &built {
+            log::warn!("what is built was not counted: {error}");
+        }
+        let built = built.ok();
         if self.json {
-            println!("{}", json!({ "scene": scene.name, "plan": report }));
+            println!("{}", json!({ "scene": scene.name, "plan": report, "built": built }));
         } else {
             print!("{}\n{report}", scene.name);
+            if let Some(built) = built {
+                print!("{built}");
+            }
         }
         Ok(())
     }
