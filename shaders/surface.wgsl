@@ -8,9 +8,11 @@
 // first view's frame, shared by all views, where shading happens. All matrices were composed in f64 relative to
 // the camera: no world coordinate ever reaches this file.
 
-// Set when a pipeline is made (see vergence-shaders): loops over them have a constant length.
+// Set when a pipeline is made (see vergence-shaders): loops over them have a constant length. Lights at infinity come
+// first.
 const VIEW_COUNT: u32 = 0xF1E50001u;
 const LIGHT_COUNT: u32 = 0xF1E50002u;
+const INFINITE_LIGHT_COUNT: u32 = 0xF1E50003u;
 
 const PI: f32 = 3.14159265358979;
 // Perceptual roughness below this is drawn as this: the lobe is then a hundredth of a pixel wide, and the powers of
@@ -204,6 +206,50 @@ fn texture_uv(i: u32, uv: vec4f) -> vec2f {
 fn unit(v: vec3f) -> vec3f {
     return v * inverseSqrt(max(dot(v, v), 1e-30));
 }
+
+// A point of a surface, as seen by an eye; all directions unit, in head coordinates.
+struct Seen {
+    normal: vec3f,
+    to_eye: vec3f,
+    nv: f32,
+    diffuse: vec3f,
+//#if METALLIC_ROUGHNESS
+    f0: vec3f,
+    alpha: f32,
+    alpha2: f32,
+    smith_v: f32,
+//#endif
+//#if BLINN_PHONG
+    lobe: vec3f,
+    exponent: f32,
+//#endif
+}
+
+// The part of light from `to_light` that goes to the eye; `nl`: the cosine at which it falls.
+fn reflected(seen: Seen, to_light: vec3f, nl: f32) -> vec3f {
+    // The half vector without its length: h2 is its square.
+    let half_way = to_light + seen.to_eye;
+    let h2 = max(dot(half_way, half_way), 1e-8);
+    let nh = dot(seen.normal, half_way);
+//#if METALLIC_ROUGHNESS
+    // GGX with height-correlated Smith (Heitz 2014), over one division: at most 1 / (alpha2 · 1e-7) = 1e19.
+    // |n × h|² instead of 1 − (n·h)²: no cancellation.
+    let away = cross(seen.normal, half_way);
+    let width = max(nh * nh * seen.alpha2 + dot(away, away), 1e-13);
+    let smith_l = sqrt(nl * nl * (1.0 - seen.alpha2) + seen.alpha2);
+    let smith = max(nl * seen.smith_v + seen.nv * smith_l, 1e-7);
+    let peak = seen.alpha * h2;
+    let lobe = (peak * peak * (0.5 / PI)) / (width * width * smith);
+    let grazing = 1.0 - min(0.5 * sqrt(h2), 1.0);
+    let grazing2 = grazing * grazing;
+    let fresnel = seen.f0 + (1.0 - seen.f0) * (grazing2 * grazing2 * grazing);
+    return seen.diffuse + fresnel * (lobe - seen.diffuse);
+//#endif
+//#if BLINN_PHONG
+    let cosine2 = clamp(nh * nh / h2, 1e-12, 1.0);
+    return seen.diffuse + seen.lobe * pow(cosine2, 0.5 * seen.exponent);
+//#endif
+}
 //#endif
 
 @fragment
@@ -297,17 +343,11 @@ fn fragment(
     let f0 = mix(vec3f(law.z), base.rgb, metallic);
     let diffuse = base.rgb * ((1.0 - metallic) * (1.0 / PI));
     let smith_v = sqrt(nv * nv * (1.0 - alpha2) + alpha2);
-    // What a GGX surface reflects of the same light from everywhere (Karis 2014, mobile fit).
-    let fit = roughness * vec4f(-1.0, -0.0275, -0.572, 0.022) + vec4f(1.0, 0.0425, 1.04, -0.04);
-    let bent = min(fit.x * fit.x, exp2(-9.28 * nv)) * fit.x + fit.y;
-    // The fit overshoots by 4 % at grazing angles.
-    let everywhere = clamp(f0 * (fit.z - 1.04 * bent) + (fit.w + 1.04 * bent), vec3f(0.0), vec3f(1.0));
-    var ambient = diffuse * (1.0 - everywhere) + everywhere * (1.0 / PI);
-    // What the lobe reflects towards this eye, of light from everywhere, is not left for the diffuse part; Fresnel at the
-    // half-way vector alone would give out up to 15 % more light than comes in.
-    let missing = 1.0 - nv;
-    let missing2 = missing * missing;
-    let taken = max(everywhere, f0 + (1.0 - f0) * (missing2 * missing2 * missing));
+    // What is reflected of the same light from everywhere: Fresnel at the normal, less for rough surfaces (Lagarde 2011).
+    let rim = 1.0 - nv;
+    let rim2 = rim * rim;
+    let everywhere = f0 + (max(vec3f(1.0 - roughness), f0) - f0) * (rim2 * rim2 * rim);
+    var ambient = diffuse + everywhere * (vec3f(1.0 / PI) - diffuse);
 //#endif
 //#if BLINN_PHONG
     let diffuse = base.rgb * (1.0 / PI);
@@ -319,12 +359,32 @@ fn fragment(
     ambient *= 1.0 + material.emissive.w * (open - 1.0);
 //#endif
     var color = frame.ambient.rgb * ambient;
-    for (var i = 0u; i < LIGHT_COUNT; i++) {
-        // One formula for all kinds: at infinity the distance is 1, without a cone its factor is 1.
-        let light_position = frame.lights[i].position;
+    let seen = Seen(
+        normal,
+        to_eye,
+        nv,
+        diffuse,
+//#if METALLIC_ROUGHNESS
+        f0,
+        alpha,
+        alpha2,
+        smith_v,
+//#endif
+//#if BLINN_PHONG
+        lobe,
+        exponent,
+//#endif
+    );
+    for (var i = 0u; i < INFINITE_LIGHT_COUNT; i++) {
+        let to_light = frame.lights[i].position.xyz;
+        let nl = clamp(dot(normal, to_light), 0.0, 1.0);
+        color += reflected(seen, to_light, nl) * frame.lights[i].color.rgb * nl;
+    }
+    for (var i = INFINITE_LIGHT_COUNT; i < LIGHT_COUNT; i++) {
+        // One formula for points and spots: without a cone its factor is 1, without a range the window's.
         let light_color = frame.lights[i].color;
         let axis = frame.lights[i].axis;
-        let offset = light_position.xyz - p * light_position.w;
+        let offset = frame.lights[i].position.xyz - p;
         let distance2 = max(dot(offset, offset), 1e-8);
         let inverse = inverseSqrt(distance2);
         let to_light = offset * inverse;
@@ -332,29 +392,8 @@ fn fragment(
         let window = clamp(1.0 - reach * reach, 0.0, 1.0);
         let cone = clamp(-dot(axis.xyz, to_light) * axis.w + frame.lights[i].cone.x, 0.0, 1.0);
         let nl = clamp(dot(normal, to_light), 0.0, 1.0);
-        let irradiance = light_color.rgb * (nl * inverse * inverse * window * cone * cone);
-        // The half vector without its length: h2 is its square.
-        let half_way = to_light + to_eye;
-        let h2 = max(dot(half_way, half_way), 1e-8);
-        let nh = dot(normal, half_way);
-//#if METALLIC_ROUGHNESS
-        // GGX with height-correlated Smith (Heitz 2014), over one division. |n × h|² instead of 1 − (n·h)²: no
-        // cancellation. Largest: alpha² h2² / (alpha²·alpha² …) = 1e12 / 1e-7.
-        let away = cross(normal, half_way);
-        let width = max(nh * nh * alpha2 + dot(away, away), 1e-13);
-        let smith_l = sqrt(nl * nl * (1.0 - alpha2) + alpha2);
-        let smith = max(nl * smith_v + nv * smith_l, 1e-7);
-        let peak = alpha * h2;
-        let lobe = (peak * peak * (0.5 / PI)) / (width * width * smith);
-        let grazing = 1.0 - min(0.5 * sqrt(h2), 1.0);
-        let grazing2 = grazing * grazing;
-        let fresnel = f0 + (1.0 - f0) * (grazing2 * grazing2 * grazing);
-        color += irradiance * (diffuse + fresnel * (lobe - diffuse));
-//#endif
-//#if BLINN_PHONG
-        let cosine2 = clamp(nh * nh / h2, 1e-12, 1.0);
-        color += irradiance * (diffuse + lobe * pow(cosine2, 0.5 * exponent));
-//#endif
+        let fades = nl * inverse * inverse * window * cone * cone;
+        color += reflected(seen, to_light, nl) * light_color.rgb * fades;
     }
 //#if EMISSIVE_TEXTURE
     color += material.emissive.rgb * glow;

@@ -42,7 +42,7 @@ impl KindPipelines {
         device: &Arc<Device>,
         target: &Target,
         samples: u32,
-        lights: u32,
+        lights: vergence_shaders::Lights,
         mirrored: bool,
     ) -> Result<&Arc<GraphicsPipeline>, Error> {
         let place = &mut self.made[usize::from(mirrored)];
@@ -59,7 +59,7 @@ fn make(
     layout: &Arc<PipelineLayout>,
     target: &Target,
     samples: u32,
-    lights: u32,
+    lights: vergence_shaders::Lights,
     mirrored: bool,
 ) -> Result<Arc<GraphicsPipeline>, Error> {
     let Kind { surface, variant } = kind;

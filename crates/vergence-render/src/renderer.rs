@@ -10,7 +10,7 @@ use vergence_gpu::{
     ViewDesc,
 };
 use vergence_scene::Needs;
-use vergence_scene::model::Scene;
+use vergence_scene::model::{LightKind, Scene};
 use vergence_time::Span;
 
 use crate::cull::{Item, Visible, middle_of};
@@ -172,6 +172,7 @@ pub struct Renderer {
     visible: Visible,
     slots: Vec<Slot>,
     lights: Vec<usize>,
+    light_counts: vergence_shaders::Lights,
     windows: Windows,
     statistics: Statistics,
     // Kept from frame to frame so that latching allocates nothing.
@@ -204,13 +205,7 @@ impl Renderer {
             return Err(Error::range("frames in flight", "at least 1", 0));
         }
         let meshes = Meshes::of(scene, quality.normal_maps)?;
-        let mut lights = Vec::new();
-        for (index, node) in scene.nodes.iter().enumerate() {
-            if let Some(light) = node.light {
-                at("lights", &scene.lights, light)?;
-                lights.push(index);
-            }
-        }
+        let (lights, light_counts) = order_lights(scene)?;
         let mut pose = Pose::new(scene, &meshes);
         pose.update(scene, &meshes, Span::ZERO);
 
@@ -250,6 +245,7 @@ impl Renderer {
             visible: Visible::default(),
             slots,
             lights,
+            light_counts,
             windows,
             statistics: Statistics { triangles: meshes.triangles, ..Statistics::default() },
             axes: Vec::new(),
@@ -267,7 +263,7 @@ impl Renderer {
             let Some(textures) = user.next().map(|d| &self.textures[d.texture_set].layout) else { continue };
             self.kinds.push(KindPipelines::new(&self.device, *kind, &self.frame_sets, textures)?);
         }
-        let lights = self.lights.len() as u32;
+        let lights = self.light_counts;
         for drawable in &self.meshes.drawables {
             let mirrored = is_mirrored(&self.pose, drawable.node, drawable.skin);
             let kind = &mut self.kinds[drawable.kind];
@@ -331,7 +327,7 @@ impl Renderer {
     }
 
     fn record(&mut self, slot_index: usize, attachments: &Attachments<'_>) -> Result<(), Error> {
-        let lights = self.lights.len() as u32;
+        let lights = self.light_counts;
         // A node that animation has mirrored may need a pipeline that nobody needed so far.
         for (_, item) in self.visible.covering.iter().chain(&self.visible.blended) {
             if let Item::Part(index) = item {
@@ -532,6 +528,21 @@ impl Renderer {
     }
 }
 
+/// The nodes with lights, those at infinity first, as the shader wants them.
+fn order_lights(scene: &Scene) -> Result<(Vec<usize>, vergence_shaders::Lights), Error> {
+    let (mut infinite, mut placed) = (Vec::new(), Vec::new());
+    for (index, node) in scene.nodes.iter().enumerate() {
+        let Some(light) = node.light else { continue };
+        match at("lights", &scene.lights, light)?.kind {
+            LightKind::Directional => infinite.push(index),
+            LightKind::Point { .. } | LightKind::Spot { .. } => placed.push(index),
+        }
+    }
+    let counts = vergence_shaders::Lights { infinite: infinite.len() as u32, placed: placed.len() as u32 };
+    infinite.append(&mut placed);
+    Ok((infinite, counts))
+}
+
 /// Whether a node turns its triangles over (joints decide for themselves: they rarely do).
 fn is_mirrored(pose: &Pose, node: usize, skin: Option<usize>) -> bool {
     skin.is_none() && pose.world.world_from_node[node].linear.determinant() < 0.0
@@ -557,7 +568,7 @@ struct Draws<'a> {
     device: &'a Arc<Device>,
     target: &'a Target,
     samples: u32,
-    lights: u32,
+    lights: vergence_shaders::Lights,
     set: &'a Arc<DescriptorSet>,
     windows: Windows,
     pass: u32,

@@ -6,7 +6,7 @@
 //! module when a pipeline is made, so that loops over them have a constant length, which drivers unroll.
 //!
 //! ```
-//! use vergence_shaders::{Coverage, Law, Variant};
+//! use vergence_shaders::{Coverage, Law, Lights, Variant};
 //! let plain = Variant {
 //!     law: Law::MetallicRoughness,
 //!     coverage: Coverage::Opaque,
@@ -18,7 +18,7 @@
 //!     vertex_colors: false,
 //!     many_uvs: false,
 //! };
-//! let module = vergence_shaders::surface_fragment(&plain, 2, 1).unwrap();
+//! let module = vergence_shaders::surface_fragment(&plain, 2, Lights { infinite: 1, placed: 0 }).unwrap();
 //! assert_eq!(module.words()[0], 0x0723_0203);
 //! ```
 #![forbid(unsafe_code)]
@@ -40,11 +40,21 @@ pub const SKIN_GROUP: u32 = 64;
 
 const VIEW_COUNT: u32 = 0xF1E5_0001;
 const LIGHT_COUNT: u32 = 0xF1E5_0002;
+const INFINITE_LIGHT_COUNT: u32 = 0xF1E5_0003;
 
 static BLOB: LazyLock<Vec<u32>> = LazyLock::new(|| {
     let bytes = include_bytes!(concat!(env!("OUT_DIR"), "/shaders.spv"));
     bytes.chunks_exact(4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]])).collect()
 });
+
+/// How many lights there are of each kind; those at infinity come first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lights {
+    /// Directional: from infinity.
+    pub infinite: u32,
+    /// Points and spots.
+    pub placed: u32,
+}
 
 /// One entry point, as it was compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,11 +72,16 @@ pub struct Module {
 }
 
 impl Shader {
-    /// The SPIR-V for `views` views and `lights` lights (1…[`MAX_VIEWS`], 0…[`MAX_LIGHTS`], held at these ends;
-    /// shaders without such loops ignore them).
+    /// The SPIR-V for `views` views (1…[`MAX_VIEWS`]) and `lights` points and spots (0…[`MAX_LIGHTS`]), held at
+    /// these ends; shaders without such loops ignore them.
     pub fn module(&self, views: u32, lights: u32) -> Module {
+        self.lit_by(views, Lights { infinite: 0, placed: lights })
+    }
+
+    fn lit_by(&self, views: u32, lights: Lights) -> Module {
         let mut words = BLOB[self.start..self.end].to_vec();
-        set_counts(&mut words, views.clamp(1, MAX_VIEWS), lights.min(MAX_LIGHTS));
+        let all = lights.infinite.saturating_add(lights.placed).min(MAX_LIGHTS);
+        set_counts(&mut words, views.clamp(1, MAX_VIEWS), lights.infinite.min(all), all);
         Module { entry: self.entry, words }
     }
 }
@@ -89,8 +104,8 @@ pub fn surface_vertex(variant: &Variant, views: u32) -> Option<Module> {
 }
 
 /// The fragment stage of a surface; `None` for a variant that makes no sense (see [`Variant::all_fragment`]).
-pub fn surface_fragment(variant: &Variant, views: u32, lights: u32) -> Option<Module> {
-    Some(find(SURFACE_FRAGMENT_VARIANTS, variant.key(), "fragment")?.module(views, lights))
+pub fn surface_fragment(variant: &Variant, views: u32, lights: Lights) -> Option<Module> {
+    Some(find(SURFACE_FRAGMENT_VARIANTS, variant.key(), "fragment")?.lit_by(views, lights))
 }
 
 fn find(table: &[(u32, u32, u32)], key: u32, entry: &'static str) -> Option<Shader> {
@@ -99,8 +114,8 @@ fn find(table: &[(u32, u32, u32)], key: u32, entry: &'static str) -> Option<Shad
     Some(Shader { entry, start: start as usize, end: end as usize })
 }
 
-/// Replaces the two counts where they are declared as constants (`OpConstant`, opcode 43, four words).
-fn set_counts(words: &mut [u32], views: u32, lights: u32) {
+/// Replaces the counts where they are declared as constants (`OpConstant`, opcode 43, four words).
+fn set_counts(words: &mut [u32], views: u32, infinite: u32, lights: u32) {
     const HEADER_WORDS: usize = 5;
     const OP_CONSTANT_OF_ONE_WORD: u32 = 4 << 16 | 43;
     let mut at = HEADER_WORDS;
@@ -109,6 +124,7 @@ fn set_counts(words: &mut [u32], views: u32, lights: u32) {
             match words[at + 3] {
                 VIEW_COUNT => words[at + 3] = views,
                 LIGHT_COUNT => words[at + 3] = lights,
+                INFINITE_LIGHT_COUNT => words[at + 3] = infinite,
                 _ => {}
             }
         }
@@ -136,7 +152,7 @@ mod tests {
     #[test]
     fn a_variant_holds_what_it_needs_and_nothing_else() {
         for variant in Variant::all_fragment() {
-            let fragment = surface_fragment(&variant, 2, 3).unwrap();
+            let fragment = surface_fragment(&variant, 2, Lights { infinite: 1, placed: 2 }).unwrap();
             assert_eq!(count(fragment.words(), IMAGE_SAMPLE_IMPLICIT_LOD), variant.textures(), "{variant:?}");
             assert_eq!(count(fragment.words(), KILL) > 0, variant.coverage == Coverage::Mask, "{variant:?}");
             assert!(surface_vertex(&variant, 2).is_some(), "{variant:?}");
@@ -146,16 +162,16 @@ mod tests {
     #[test]
     fn counts_are_written_once_and_nowhere_else() {
         let plain = Variant::all_fragment().into_iter().find(|v| v.law == Law::MetallicRoughness).unwrap();
-        let a = surface_fragment(&plain, 2, 3).unwrap();
-        let b = surface_fragment(&plain, 4, 7).unwrap();
+        let a = surface_fragment(&plain, 2, Lights { infinite: 1, placed: 2 }).unwrap();
+        let b = surface_fragment(&plain, 4, Lights { infinite: 3, placed: 4 }).unwrap();
         let differing = a.words().iter().zip(b.words()).filter(|(a, b)| a != b).count();
-        assert_eq!(differing, 2);
+        assert_eq!(differing, 3);
         assert!(!b.words().contains(&VIEW_COUNT) && !b.words().contains(&LIGHT_COUNT));
     }
 
     #[test]
     fn nonsense_is_refused() {
         let plain = Variant::all_fragment()[0];
-        assert!(surface_fragment(&Variant { normal_texture: true, ..plain }, 2, 1).is_none());
+        assert!(surface_fragment(&Variant { normal_texture: true, ..plain }, 2, Lights::default()).is_none());
     }
 }
