@@ -18,6 +18,8 @@ const PI: f32 = 3.14159265358979;
 // Perceptual roughness below this is drawn as this: the lobe is then a hundredth of a pixel wide, and the powers of
 // it below stay far inside of what f32 holds.
 const LEAST_ROUGHNESS: f32 = 1e-3;
+// How much more than Fresnel at the normal a lobe of any roughness may reflect; kept back from the diffuse part.
+const LOBE_MARGIN: f32 = 3e-3;
 // Grazing views are shaded as if seen under this cosine.
 const LEAST_COSINE: f32 = 1e-4;
 
@@ -212,6 +214,7 @@ struct Seen {
     normal: vec3f,
     to_eye: vec3f,
     nv: f32,
+    // What is reflected in all directions alike.
     diffuse: vec3f,
 //#if METALLIC_ROUGHNESS
     f0: vec3f,
@@ -243,7 +246,7 @@ fn reflected(seen: Seen, to_light: vec3f, nl: f32) -> vec3f {
     let grazing = 1.0 - min(0.5 * sqrt(h2), 1.0);
     let grazing2 = grazing * grazing;
     let fresnel = seen.f0 + (1.0 - seen.f0) * (grazing2 * grazing2 * grazing);
-    return seen.diffuse + fresnel * (lobe - seen.diffuse);
+    return seen.diffuse + fresnel * lobe;
 //#endif
 //#if BLINN_PHONG
     let cosine2 = clamp(nh * nh / h2, 1e-12, 1.0);
@@ -348,6 +351,11 @@ fn fragment(
     let rim2 = rim * rim;
     let everywhere = f0 + (max(vec3f(1.0 - roughness), f0) - f0) * (rim2 * rim2 * rim);
     var ambient = diffuse + everywhere * (vec3f(1.0 / PI) - diffuse);
+    // What the lobe reflects towards this eye, of light from everywhere, is not left for the diffuse part: Fresnel at the
+    // normal and a little more. Once per pixel, and cheaper than Fresnel at each half-way vector, which alone would
+    // give out up to 15 % more light than comes in (the white furnace of tests/extremes).
+    let taken = f0 + (1.0 - f0) * (rim2 * rim2 * rim) + LOBE_MARGIN;
+    let left = diffuse * max(1.0 - taken, vec3f(0.0));
 //#endif
 //#if BLINN_PHONG
     let diffuse = base.rgb * (1.0 / PI);
@@ -363,14 +371,15 @@ fn fragment(
         normal,
         to_eye,
         nv,
-        diffuse,
 //#if METALLIC_ROUGHNESS
+        left,
         f0,
         alpha,
         alpha2,
         smith_v,
 //#endif
 //#if BLINN_PHONG
+        diffuse,
         lobe,
         exponent,
 //#endif
