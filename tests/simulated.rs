@@ -83,8 +83,11 @@ fn a_walk_through_the_colonnade_is_seen_with_two_eyes() {
     let capture = folder.path().join("pictures");
     let capture = capture.to_str().expect("a path in UTF-8");
     let scene = data.join("scenes/gltf/colonnade.glb");
-    let (report, frames) =
-        run(&scene, folder.path(), &["--motion", motion, "--frames", "300", "--capture", capture]);
+    let (report, frames) = run(
+        &scene,
+        folder.path(),
+        &["--motion", motion, "--frames", "300", "--msaa", "1", "--capture", capture],
+    );
 
     assert_eq!(report["frames"], 300, "{report}");
     assert_eq!(frames.len(), 300);
