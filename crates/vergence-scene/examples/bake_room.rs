@@ -20,14 +20,14 @@ type Color = Vector3<f64>;
 type Surface = (&'static str, f64, f64, f64, f64, fn(f64, f64) -> Color);
 
 const SURFACES: &[Surface] = &[
-    ("floor", 5.0, 5.0, 256.0, 40.0, planks),
-    ("rug", 2.2, 1.6, 400.0, 50.0, rug),
-    ("ceiling", 5.0, 5.0, 60.0, 20.0, ceiling),
-    ("wall_back", 5.0, 2.7, 160.0, 40.0, teal),
-    ("wall_front", 5.0, 2.7, 60.0, 20.0, plaster),
-    ("wall_left", 5.0, 2.7, 120.0, 36.0, plaster),
-    ("wall_right", 5.0, 2.7, 120.0, 30.0, plaster),
-    ("table_top", 1.4, 0.7, 1200.0, 160.0, table),
+    ("floor", 5.0, 5.0, 256.0, 30.0, planks),
+    ("rug", 2.2, 1.6, 400.0, 44.0, rug),
+    ("ceiling", 5.0, 5.0, 60.0, 14.0, ceiling),
+    ("wall_back", 5.0, 2.7, 160.0, 32.0, teal),
+    ("wall_front", 5.0, 2.7, 60.0, 14.0, plaster),
+    ("wall_left", 5.0, 2.7, 120.0, 28.0, plaster),
+    ("wall_right", 5.0, 2.7, 120.0, 26.0, plaster),
+    ("table_top", 1.4, 0.7, 1200.0, 140.0, table),
     ("board", 0.95, 0.9, 300.0, 40.0, paper),
 ];
 
@@ -37,15 +37,15 @@ const SKY: [f64; 3] = [5.2, 5.7, 6.0];
 const WINDOW: ([f64; 3], f64, f64) = ([-2.485, 1.55, -1.5], 0.75, 0.85);
 /// Middle, radius, and intensity per steradian of the lamp and of a soft fill from above.
 const LAMPS: [([f64; 3], f64, [f64; 3]); 2] =
-    [([2.05, 1.56, -2.6], 0.1, [3.2, 2.3, 1.35]), ([0.4, 2.55, 0.6], 0.3, [2.2, 2.1, 2.0])];
+    [([2.05, 1.56, -2.6], 0.1, [1.7, 1.22, 0.72]), ([0.4, 2.55, 0.6], 0.3, [2.2, 2.1, 2.0])];
 /// Rays for each light and for what is reflected.
 const WINDOW_RAYS: usize = 36;
 const LAMP_RAYS: usize = 6;
 const BOUNCE_RAYS: usize = 64;
 /// Irradiance of one bounce, at most.
-const BRIGHTEST_BOUNCE: f64 = 5.0;
+const BRIGHTEST_BOUNCE: f64 = 3.0;
 /// Light that has been reflected more than once, everywhere alike.
-const REST: f64 = 0.5;
+const REST: f64 = 0.6;
 
 /// A deterministic stream of numbers, 0…1.
 struct Random(u64);

@@ -11,7 +11,8 @@ use crate::Error;
 /// How much a scene may take to load. What a file asks for beyond that is an error, not an allocation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Pixels of all images of a scene together (4 bytes each once decoded). Default 2²⁷ (512 MiB).
+    /// Pixels of all images of a scene together: 4 bytes each once decoded, up to 16 while one is. Default 2²⁷
+    /// (512 MiB).
     pub image_pixels: u64,
     /// Bytes of all files of a scene together. Default 2³¹.
     pub file_bytes: u64,
@@ -31,6 +32,9 @@ impl Default for Limits {
         }
     }
 }
+
+/// So many warnings are told apart; a broken file could have any number.
+const MOST_WARNINGS: usize = 64;
 
 /// How far a load has come, for a progress bar.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -233,8 +237,11 @@ impl<'a> Import<'a> {
     /// Says, once, that something is not drawn.
     pub(crate) fn warn(&mut self, warning: impl Into<String>) {
         let warning = warning.into();
-        if !self.warnings.contains(&warning) {
+        if self.warnings.len() < MOST_WARNINGS && !self.warnings.contains(&warning) {
             self.warnings.push(warning);
+            if self.warnings.len() == MOST_WARNINGS {
+                self.warnings.push("there is more that is not drawn".into());
+            }
         }
     }
 

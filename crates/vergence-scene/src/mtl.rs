@@ -3,7 +3,7 @@
 //! Colours are sRGB, as exporters write them. Libraries and textures that are missing, or lie outside of the scene's
 //! folder, are named in a warning: the shape can be drawn without them.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
 use crate::Error;
@@ -29,6 +29,7 @@ pub(crate) fn load(
     scene: &mut Scene,
 ) -> Result<(), Error> {
     let mut materials: HashMap<String, Material> = HashMap::new();
+    let used: HashSet<&String> = names.iter().flatten().collect();
     for (library, place) in libraries {
         let file = library.replace('\\', "/");
         let (resolved, bytes) = match import
@@ -53,11 +54,10 @@ pub(crate) fn load(
                 continue;
             }
             // Only what the scene uses is read: textures of other materials may be missing.
-            if let Some(material) = &mut current {
-                let is_used = names.iter().flatten().any(|name| *name == material.name);
-                if is_used {
-                    statement(import, &resolved, keyword, &mut line, material, scene)?;
-                }
+            if let Some(material) = &mut current
+                && used.contains(&material.name)
+            {
+                statement(import, &resolved, keyword, &mut line, material, scene)?;
             }
         }
         if let Some(done) = current {

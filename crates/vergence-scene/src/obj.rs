@@ -56,6 +56,7 @@ pub(crate) fn load(import: &mut Import<'_>, path: &Path, bytes: Bytes) -> Result
         },
         counts,
         objects: Vec::new(),
+        object_places: HashMap::new(),
         object: String::new(),
         material: 0,
         material_names: HashMap::new(),
@@ -91,8 +92,9 @@ fn count(bytes: &[u8]) -> Counts {
 struct Reader {
     tables: Tables,
     counts: Counts,
-    /// Names in the order in which they come.
+    /// Names in the order in which they come, and where each is there.
     objects: Vec<String>,
+    object_places: HashMap<String, usize>,
     object: String,
     /// 0 is the material of faces without one.
     material: usize,
@@ -221,9 +223,10 @@ impl Reader {
             import.warn("faces with fewer than three corners are not drawn");
             return Ok(());
         }
-        let object = match self.objects.iter().rposition(|name| *name == self.object) {
-            Some(known) => known,
+        let object = match self.object_places.get(&self.object) {
+            Some(&known) => known,
             None => {
+                self.object_places.insert(self.object.clone(), self.objects.len());
                 self.objects.push(self.object.clone());
                 self.objects.len() - 1
             }

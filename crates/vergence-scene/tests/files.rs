@@ -1,5 +1,6 @@
 //! Real files load, with the warnings that they deserve; a scene reads nothing outside of its folder; and laws that
 //! tie files to each other.
+#![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 
 use std::path::{Path, PathBuf};
 

@@ -22,6 +22,7 @@ pub(super) fn looks(import: &mut Import<'_>, accessors: &Accessors<'_>) -> Resul
         textures: Vec::new(),
         by_raw: vec![None; accessors.root.textures.len()],
         images: Vec::new(),
+        by_raw_image: vec![None; accessors.root.images.len()],
     };
     let mut materials = Vec::with_capacity(accessors.root.materials.len() + 1);
     for (index, material) in accessors.root.materials.iter().enumerate() {
@@ -46,6 +47,8 @@ struct Builder<'a> {
     by_raw: Vec<Option<usize>>,
     /// Raw images that are used.
     images: Vec<usize>,
+    /// By raw image: its place in `images`.
+    by_raw_image: Vec<Option<usize>>,
 }
 
 impl Builder<'_> {
@@ -207,13 +210,10 @@ impl Builder<'_> {
                 format!("expected an image below {}, found {source}", self.root.images.len()),
             ));
         }
-        let image = match self.images.iter().position(|&used| used == source) {
-            Some(known) => known,
-            None => {
-                self.images.push(source);
-                self.images.len() - 1
-            }
-        };
+        let image = *self.by_raw_image[source].get_or_insert_with(|| {
+            self.images.push(source);
+            self.images.len() - 1
+        });
         let sampler = match raw.sampler {
             None => sampler(self.path, "", &raw::Sampler::default())?,
             Some(index) => {

@@ -235,15 +235,19 @@ fn add_skins(
         };
         scene.skins.push(Skin { name: raw.name.clone(), joints, joint_from_mesh });
     }
+    // Meshes may be shown many times: their joints are looked through once.
+    let largest_joints: Vec<Option<u16>> = scene
+        .meshes
+        .iter()
+        .map(|mesh| mesh.primitives.iter().flat_map(|p| p.joints.iter().flatten()).max().copied())
+        .collect();
     for (node, &raw_node) in scene.nodes.iter_mut().zip(&order.nodes) {
         let (Some(skin), Some(mesh)) = (node.skin, node.mesh) else {
             node.skin = None;
             continue;
         };
         let joints = scene.skins[skin].joints.len();
-        let primitives = &scene.meshes[mesh].primitives;
-        let largest = primitives.iter().flat_map(|p| p.joints.iter().flatten()).max();
-        if let Some(&largest) = largest.filter(|&&largest| usize::from(largest) >= joints) {
+        if let Some(largest) = largest_joints[mesh].filter(|&largest| usize::from(largest) >= joints) {
             return Err(Error::invalid(
                 path,
                 format!("nodes[{raw_node}]"),
