@@ -22,7 +22,8 @@ pub struct Quality {
     pub cull_margin_m: f64,
     /// How far it may turn, radians, 0…0.7. Default 0.1 (that is 5 rad/s over 20 ms).
     pub cull_margin_rad: f64,
-    /// GPU time per pass is measured. Default on; a microsecond per pass.
+    /// GPU time per pass is measured. Default on; a microsecond per pass. Not with more than one sample on a software
+    /// device: Mesa 25's crashes.
     pub timestamps: bool,
 }
 

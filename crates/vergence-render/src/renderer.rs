@@ -224,8 +224,10 @@ impl Renderer {
             Windows::new(device, target, meshes.drawables.len() + labels.as_ref().map_or(0, Labels::len));
         let materials = upload_materials(&mut upload, &meshes, &windows)?;
         let rows = windows.rows();
+        // Mesa 25's software device crashes on timestamps around a pass that resolves several layers' samples.
+        let timestamps = quality.timestamps && !(device.limits().software && quality.msaa > 1);
         let slots = (0..frames_in_flight)
-            .map(|_| Slot::new(device, &frame_sets, &windows, materials.as_ref(), quality.timestamps))
+            .map(|_| Slot::new(device, &frame_sets, &windows, materials.as_ref(), timestamps))
             .collect::<Result<_, _>>()?;
         let mut renderer = Self {
             device: Arc::clone(device),
