@@ -9,6 +9,7 @@
 //! origin looks the same. Depth is reversed and has no far plane. It depends on no window and no headset.
 #![forbid(unsafe_code)]
 
+mod between;
 pub mod camera;
 mod cull;
 mod error;
