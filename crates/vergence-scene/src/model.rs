@@ -63,6 +63,22 @@ pub struct Node {
     pub label: Option<usize>,
 }
 
+impl Node {
+    /// A node without a parent, where nothing stands yet.
+    pub fn at(name: &str, parent_from_node: Local) -> Self {
+        Self {
+            name: name.to_owned(),
+            parent: None,
+            parent_from_node,
+            mesh: None,
+            skin: None,
+            light: None,
+            camera: None,
+            label: None,
+        }
+    }
+}
+
 /// A local transform: what can be animated, or a matrix, which cannot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Local {
