@@ -6,7 +6,7 @@
 #![allow(clippy::unwrap_used)] // helpers of tests are tests, too
 
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
+use std::sync::{Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use peak_alloc::PeakAlloc;
@@ -14,6 +14,9 @@ use vergence_scene::{Error, Limits, Scene, load};
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
+
+/// Held while memory is counted: the count is the whole process's.
+static ALONE: Mutex<()> = Mutex::new(());
 
 /// What a load may allocate: so many bytes, and so many for each byte on disk.
 const MEMORY_BYTES: usize = 32_000_000;
@@ -304,6 +307,7 @@ fn run(say: &mpsc::Sender<Said>) {
 
 #[test]
 fn damaged_files_end_in_an_error_with_file_and_place() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let (say, hear) = mpsc::channel();
     let worker = std::thread::spawn(move || run(&say));
     let mut current = String::new();
@@ -325,5 +329,57 @@ fn damaged_files_end_in_an_error_with_file_and_place() {
     }
     if let Err(panic) = worker.join() {
         std::panic::resume_unwind(panic);
+    }
+}
+
+/// Small files that ask for a lot: each is refused before the memory is taken.
+#[test]
+fn small_files_that_ask_for_much_are_refused() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let folder = tempfile::tempdir().unwrap();
+    let mesh = |accessor: &str, primitives: usize| {
+        let primitive = r#"{"attributes":{"POSITION":0}}"#;
+        let primitives = vec![primitive; primitives].join(",");
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{primitives}]}}],
+            "accessors":[{accessor}],"bufferViews":[{{"buffer":0,"byteLength":120000}}],
+            "buffers":[{{"uri":"zero.bin","byteLength":120000}}]}}"#
+        )
+    };
+    std::fs::write(folder.path().join("zero.bin"), vec![0; 120_000]).unwrap();
+    let cases = [
+        (
+            "zeros.gltf",
+            mesh(
+                r#"{"componentType":5126,"count":4000000000,"type":"VEC3","sparse":{"count":0,
+                "indices":{"bufferView":0,"componentType":5121},"values":{"bufferView":0}}}"#,
+                1,
+            ),
+        ),
+        ("shared.gltf", mesh(r#"{"bufferView":0,"componentType":5126,"count":10000,"type":"VEC3"}"#, 2000)),
+        (
+            "objects.gltf",
+            format!(r#"{{"asset":{{"version":"2.0"}},"nodes":[{}]}}"#, vec!["{}"; 2_000_000].join(",")),
+        ),
+        ("polygons.obj", format!("v 0 0 0\nv 1 0 0\nv 0 1 0\n{}", "f 1 2 3\n".repeat(3_000_000))),
+    ];
+    for (name, text) in cases {
+        let path = folder.path().join(name);
+        std::fs::write(&path, &text).unwrap();
+        let on_disk = text.len() + 120_000;
+        drop(text);
+        let before = MEMORY.current_usage();
+        MEMORY.reset_peak_usage();
+        let result = load(&path, &Limits::default());
+        let peak = MEMORY.peak_usage().saturating_sub(before);
+        let allowed = MEMORY_BYTES + MEMORY_PER_FILE_BYTE * on_disk;
+        assert!(peak <= allowed, "{name}: allocated {peak} bytes, {allowed} are allowed");
+        if name.ends_with("gltf") {
+            assert!(
+                matches!(result, Err(Error::TooLarge { .. })),
+                "{name}: {:?}",
+                result.map(|scene| scene.name)
+            );
+        }
     }
 }
