@@ -266,7 +266,9 @@ impl Meshes {
     }
 
     fn add_skin(&mut self, scene: &Scene, skin: usize, primitive: &Primitive) -> Result<usize, Error> {
-        let joints = at("skins", &scene.skins, skin)?.joints.len();
+        let nodes = &at("skins", &scene.skins, skin)?.joints;
+        nodes.iter().try_for_each(|&node| at("nodes", &scene.nodes, node).map(drop))?;
+        let joints = nodes.len();
         let mut boxes: Vec<Option<([f32; 3], [f32; 3])>> = vec![None; joints];
         for (vertex, influences) in primitive.joints.iter().enumerate() {
             let weights = primitive.weights.get(vertex).copied().unwrap_or([1.0, 0.0, 0.0, 0.0]);
@@ -304,8 +306,14 @@ impl Meshes {
 
 fn check_primitive(primitive: &Primitive) -> Result<(), Error> {
     let len = primitive.positions.len();
-    match primitive.indices.iter().find(|index| **index as usize >= len) {
-        Some(&index) => Err(Error::Index { what: "vertices", len, found: index as usize }),
+    if let Some(&index) = primitive.indices.iter().find(|index| **index as usize >= len) {
+        return Err(Error::Index { what: "vertices", len, found: index as usize });
+    }
+    let both = [("joints", primitive.joints.len()), ("weights", primitive.weights.len())];
+    match both.into_iter().find(|(_, found)| *found != 0 && *found != len) {
+        Some((what, found)) => {
+            Err(Error::range(what, format!("none or one for each of {len} vertices"), found))
+        }
         None => Ok(()),
     }
 }

@@ -11,8 +11,6 @@ use crate::meshes::Meshes;
 pub(crate) struct Pose {
     locals: Vec<Local>,
     pub world: WorldTransforms,
-    /// Clips that play: each loops; of two that move the same node, the earlier one.
-    playing: Vec<usize>,
     /// One per drawable: a ball around it, world coordinates.
     pub balls: Vec<(Point3<f64>, f64)>,
     /// One per skin at a node: anchor_from_mesh of each joint, rows of six (three for normals).
@@ -24,19 +22,9 @@ pub(crate) struct Pose {
 
 impl Pose {
     pub fn new(scene: &Scene, meshes: &Meshes) -> Self {
-        let mut moved = vec![false; scene.nodes.len()];
-        let mut playing = Vec::new();
-        for (index, clip) in scene.animations.iter().enumerate() {
-            let nodes = || clip.tracks.iter().map(|track| track.node);
-            if nodes().all(|node| !moved.get(node).copied().unwrap_or(true)) {
-                nodes().for_each(|node| moved[node] = true);
-                playing.push(index);
-            }
-        }
         Self {
-            locals: scene.nodes.iter().map(|node| node.parent_from_node).collect(),
+            locals: Vec::with_capacity(scene.nodes.len()),
             world: WorldTransforms::default(),
-            playing,
             balls: vec![(Point3::origin(), 0.0); meshes.drawables.len()],
             joint_rows: vec![[0.0; 4]; 6 * meshes.joints],
             anchors: vec![Point3::origin(); meshes.skins.len()],
@@ -44,17 +32,12 @@ impl Pose {
         }
     }
 
-    /// Moves to `time` (from the clips' start). O(nodes + drawables), nothing where nothing moves.
+    /// Moves to `time` after the start of the clips in [`Scene::playing`]. O(nodes + drawables), nothing where nothing moves.
     pub fn update(&mut self, scene: &Scene, meshes: &Meshes, time: Span) {
-        if self.fresh && self.playing.is_empty() {
+        if self.fresh && scene.playing.is_empty() {
             return;
         }
-        for &index in &self.playing {
-            let clip = &scene.animations[index];
-            let duration_secs = clip.duration_secs();
-            let secs = if duration_secs > 0.0 { time.as_secs_f64().rem_euclid(duration_secs) } else { 0.0 };
-            clip.sample(secs, &mut self.locals);
-        }
+        scene.animate(time, &mut self.locals);
         let locals = &self.locals;
         self.world.update(scene, |node| locals[node].to_affine());
         self.skin(scene, meshes);

@@ -173,7 +173,7 @@ impl Renderer {
     ///
     /// # Errors
     /// A quality that the device does not have, more lights than [`MAX_LIGHTS`], more views than [`MAX_VIEWS`], no
-    /// memory, or a scene whose indices are wrong.
+    /// memory, or a scene whose indices, or numbers of joints or weights, are wrong.
     pub fn new(
         device: &Arc<Device>,
         scene: &Arc<Scene>,

@@ -254,6 +254,7 @@ fn joints_put_vertices_where_double_precision_does() {
             values: Values::Rotation(vec![[0.0, 0.0, 0.0, 1.0], half_turn]),
         }],
     });
+    scene.playing = vec![0];
     let turned = UnitQuaternion::from_euler_angles(0.0, 0.0, 0.75 * std::f64::consts::FRAC_PI_2);
     let joints = [
         Trs { translation: far, ..Trs::identity() },
@@ -282,5 +283,56 @@ fn joints_put_vertices_where_double_precision_does() {
         let expected = ((0.5 * ndc.x + 0.5) * 512.0, (0.5 * ndc.y + 0.5) * 512.0);
         assert!((x - expected.0).hypot(y - expected.1) < 0.1, "{x} {y}, expected {expected:?}");
     }
+    no_messages(&device);
+}
+
+#[test]
+fn a_scene_plays_the_clips_it_says_and_no_others() {
+    let Some(device) = device() else { return };
+    let Some(fox) = small::data("gltf/Fox.glb") else { return };
+    let scene = vergence_scene::load(&fox, &vergence_scene::Limits::default()).unwrap();
+    assert!(scene.animations.len() >= 2 && scene.playing == [0]);
+    // The file's unit makes the fox some 150 m long.
+    let at_times = |playing: &[usize]| {
+        [0.0, 0.3].map(|secs| {
+            let mut scene = scene.clone();
+            scene.light_if_dark();
+            scene.playing = playing.to_vec();
+            draw_at(&device, scene, &PLAIN, SIZE, &[view_at(0.0, 40.0, 250.0)], secs).remove(0)
+        })
+    };
+    let (none, first, second) = (at_times(&[]), at_times(&[0]), at_times(&[1]));
+    assert!(none[0].chunks(4).any(|texel| texel != &none[0][..4]), "the fox is in the picture");
+    assert!(none[0] == none[1], "a scene without a playing clip stands still");
+    assert!(first[0] != first[1] && second[0] != second[1], "clips move");
+    assert!(first[1] != second[1] && first[1] != none[1], "each clip is another pose");
+    no_messages(&device);
+}
+
+#[test]
+fn joints_and_weights_of_another_length_are_an_error() {
+    let Some(device) = device() else { return };
+    let target = vergence_render::Target::new(SIZE, 1);
+    let found = |joints: usize, weights: usize, node: usize| {
+        let mut square = quad(2.0);
+        square.joints = vec![[0; 4]; joints];
+        square.weights = vec![[1.0, 0.0, 0.0, 0.0]; weights];
+        let mut scene = with_mesh(square, Material::default());
+        scene.nodes[0].skin = Some(0);
+        let joint_from_mesh = vec![Affine { linear: Matrix3::identity(), translation: Vector3::zeros() }];
+        scene.skins.push(Skin { name: String::new(), joints: vec![node], joint_from_mesh });
+        let needs = vergence_scene::Needs::of(&scene, true);
+        let made = vergence_render::Renderer::new(&device, &scene.into(), &needs, &PLAIN, &target, 1);
+        made.err().map(|error| error.to_string())
+    };
+    assert_eq!(found(4, 4, 0), None);
+    for (joints, weights, expected) in [
+        (3, 4, "joints: expected none or one for each of 4 vertices, found 3"),
+        (5, 4, "joints: expected none or one for each of 4 vertices, found 5"),
+        (4, 1, "weights: expected none or one for each of 4 vertices, found 1"),
+    ] {
+        assert_eq!(found(joints, weights, 0).as_deref(), Some(expected));
+    }
+    assert_eq!(found(4, 4, 7).as_deref(), Some("scene: expected nodes below 1, found 7"));
     no_messages(&device);
 }

@@ -206,6 +206,7 @@ impl Args {
         }
         if self.view.is_some() {
             scene.animations.clear();
+            scene.playing.clear();
         }
         Ok(Arc::new(scene))
     }

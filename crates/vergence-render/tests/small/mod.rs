@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "each test program uses a part")]
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
@@ -28,6 +29,17 @@ pub fn device() -> Option<Arc<Device>> {
             None
         }
     }
+}
+
+/// A scene of `VERGENCE_DATA`; `None`, said, where it is not set and not required.
+pub fn data(name: &str) -> Option<PathBuf> {
+    let Some(data) = std::env::var_os("VERGENCE_DATA") else {
+        let required = std::env::var("VERGENCE_REQUIRE").unwrap_or_default();
+        assert!(!required.split(',').any(|what| what == "data"), "data is required: set VERGENCE_DATA");
+        eprintln!("skipped: no VERGENCE_DATA");
+        return None;
+    };
+    Some(PathBuf::from(data).join("scenes").join(name))
 }
 
 /// Fails where the validation layer had something to say.
