@@ -285,10 +285,11 @@ impl Renderer {
     }
 
     /// Begins a frame in `slot` (which waits for the frame that used it before): moves the scene to
-    /// `animation_time`, finds what `cull_views` may see, and records the draws to `attachments`.
+    /// `animation_time`, finds what `cull_views` may see, and records the draws to `attachments`. A frame that was begun
+    /// in `slot` and not submitted is dropped.
     ///
     /// # Errors
-    /// A slot or a number of views that the renderer was not made with, a frame begun twice, or a lost device.
+    /// A slot or a number of views that the renderer was not made with, or a lost device.
     pub fn begin(
         &mut self,
         slot: usize,
@@ -297,10 +298,9 @@ impl Renderer {
         attachments: &Attachments<'_>,
     ) -> Result<(), Error> {
         self.check_views(cull_views)?;
-        let state = self.slot(slot)?.state;
-        if state != State::Free {
-            return Err(Error::Order { expected: "submit", found: "begin" });
-        }
+        self.slot(slot)?;
+        // What was begun and never submitted is dropped, and a frame that fails below cannot be submitted.
+        self.slots[slot].state = State::Free;
         // Nothing of a frame in flight is written over: the device is done with this slot.
         self.slots[slot].commands.wait()?;
         self.pose.update(&self.scene, &self.meshes, animation_time);

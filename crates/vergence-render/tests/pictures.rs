@@ -226,5 +226,35 @@ fn a_hidden_area_stays_empty_in_its_view_only() {
     let depths = offscreen.depths().unwrap();
     let depth_m = quality.near_m / f64::from(depths[0][(256 * SIZE.0 + 100) as usize]);
     assert!((depth_m - 2.0).abs() < 2e-6, "{depth_m}");
+    // Empty lists take it away.
+    renderer.visibility_mask(&[]).unwrap();
+    renderer.begin(0, Span::ZERO, &views, &offscreen.attachments()).unwrap();
+    renderer.latch(0, &views).unwrap();
+    renderer.submit(0).unwrap();
+    let pictures = offscreen.pictures().unwrap();
+    assert_eq!(pixel(&pictures[1], SIZE, 100, 256)[0], 255);
+    small::no_messages(&device);
+}
+
+#[test]
+fn a_frame_that_was_not_submitted_is_begun_anew() {
+    let Some(device) = device() else { return };
+    let scene = Arc::new(with_mesh(quad(4.0), unlit([1.0; 4])));
+    let quality = Quality { msaa: 1, ..Quality::default() };
+    let target = Target::new(SIZE, 1);
+    let mut renderer =
+        Renderer::new(&device, &scene, &Needs::of(&scene, true), &quality, &target, 1).unwrap();
+    let mut offscreen = Offscreen::new(&device, &target, true).unwrap();
+    let (away, views) = ([view_at(100.0, 0.0, 2.0)], [view_at(0.0, 0.0, 2.0)]);
+    renderer.begin(0, Span::ZERO, &away, &offscreen.attachments()).unwrap();
+    assert!(renderer.latch(0, &[]).is_err());
+    // Begun, then latched, and never submitted.
+    renderer.begin(0, Span::ZERO, &away, &offscreen.attachments()).unwrap();
+    renderer.latch(0, &away).unwrap();
+    renderer.begin(0, Span::ZERO, &views, &offscreen.attachments()).unwrap();
+    assert!(renderer.submit(0).is_err(), "what was latched belongs to the dropped frame");
+    renderer.latch(0, &views).unwrap();
+    renderer.submit(0).unwrap();
+    assert_eq!(pixel(&offscreen.pictures().unwrap()[0], SIZE, 256, 256)[0], 255);
     small::no_messages(&device);
 }

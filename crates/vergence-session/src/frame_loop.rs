@@ -172,11 +172,9 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
 fn mask(client: &mut Client, renderer: &mut Renderer) -> Result<bool, Error> {
     let areas: Vec<(Vec<[f32; 2]>, Vec<u32>)> =
         client.hidden_areas()?.into_iter().map(|area| (area.vertices, area.indices)).collect();
-    let hides = areas.iter().any(|(_, indices)| !indices.is_empty());
-    if hides {
-        renderer.visibility_mask(&areas)?;
-    }
-    Ok(hides)
+    // Also where nothing is hidden: that takes an earlier mask away.
+    renderer.visibility_mask(&areas)?;
+    Ok(areas.iter().any(|(_, indices)| !indices.is_empty()))
 }
 
 /// The loop, until the run or the session is over.
