@@ -1,5 +1,6 @@
 //! Runtimes have answered with display times far in the past or in the future and with periods of years. Such a time
-//! loses every frame; the guard notices and goes on with its own prediction.
+//! loses every frame; the guard notices and goes on with its own prediction. A runtime whose times run on steadily for a
+//! while is believed again: then it is the guard's own base that was wrong.
 
 use vergence_time::{Span, Timestamp};
 
@@ -11,6 +12,8 @@ const LONGEST_PERIOD: Span = Span::from_millis(1_000);
 const LONGEST_LEAD: Span = Span::from_millis(2_000);
 /// Period until the runtime has said a better one: 90 Hz.
 const FIRST_PERIOD: Span = Span::from_nanos(11_111_111);
+/// So many replaced times that run on steadily make the runtime's time the new base.
+const STEADY_FAULTS: u32 = 5;
 
 /// When a frame will be shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +24,8 @@ pub struct Prediction {
     pub period: Span,
     /// What was wrong with the runtime's own answer, where something was.
     pub fault: Option<TimeFault>,
+    /// Whether the runtime is believed anew after its times were replaced: the time since the frame before means nothing.
+    pub rebased: bool,
 }
 
 /// What was wrong with a time that a runtime gave.
@@ -55,12 +60,16 @@ impl std::fmt::Display for TimeFault {
 pub struct TimeGuard {
     /// The last frame: its display time, and the host's clock then.
     last: Option<(Timestamp, Timestamp)>,
+    /// What the runtime said of the last frame, believed or not.
+    last_raw: Option<Timestamp>,
+    /// Times replaced in a row that ran on steadily.
+    steady: u32,
     period: Span,
 }
 
 impl Default for TimeGuard {
     fn default() -> Self {
-        Self { last: None, period: FIRST_PERIOD }
+        Self { last: None, last_raw: None, steady: 0, period: FIRST_PERIOD }
     }
 }
 
@@ -83,13 +92,35 @@ impl TimeGuard {
         } else {
             fault = Some(TimeFault::Period(period));
         }
-        let time_fault = self.fault_of(display, host_now, runtime_now);
+        let mut time_fault = self.fault_of(display, host_now, runtime_now);
+        let is_steady = time_fault.is_some() && self.runs_on(display, host_now, runtime_now);
+        self.steady = if is_steady { self.steady + 1 } else { 0 };
+        // Our base was wrong, not the runtime: every right time would be a fault for ever.
+        let rebased = self.steady >= STEADY_FAULTS;
+        if rebased {
+            self.steady = 0;
+            time_fault = None;
+        }
         let guarded = match time_fault {
             None => display,
             Some(_) => self.own_prediction(host_now, runtime_now),
         };
         self.last = Some((guarded, host_now));
-        Prediction { display: guarded, period: self.period, fault: time_fault.or(fault) }
+        self.last_raw = Some(display);
+        Prediction { display: guarded, period: self.period, fault: time_fault.or(fault), rebased }
+    }
+
+    /// Whether a time is possible by itself and follows what the runtime said before as frames do.
+    fn runs_on(&self, display: Timestamp, host_now: Timestamp, runtime_now: Option<Timestamp>) -> bool {
+        let is_far = |now| display.since(now).is_none_or(|lead| lead > LONGEST_LEAD);
+        if display.as_nanos() <= 0 || runtime_now.is_some_and(is_far) {
+            return false;
+        }
+        let Some(step) = self.last_raw.and_then(|before| display.since(before)) else { return false };
+        let passed = self.last.and_then(|(_, host_then)| host_now.since(host_then)).unwrap_or(Span::ZERO);
+        // Half a period to two; a frame that took longer may be followed by as much more.
+        let longest = self.period.max(passed).as_nanos().saturating_mul(2);
+        (self.period.as_nanos() / 2..=longest).contains(&step.as_nanos())
     }
 
     fn fault_of(
@@ -195,12 +226,70 @@ mod tests {
         assert_eq!((p.display, p.fault), (at(5010), Some(TimeFault::FarFuture(far))));
     }
 
+    /// Right times from `first_ms` on, 10 ms apart: the frames that are replaced before the runtime is believed.
+    fn replaced_before_belief(guard: &mut TimeGuard, first_ms: i64, runtime_ahead_ms: Option<i64>) -> usize {
+        let predictions: Vec<(i64, Prediction)> = (0..50)
+            .map(|frame| {
+                let (display_ms, host_ms) = (first_ms + 10 * frame, 10 + 10 * frame);
+                let runtime_now = runtime_ahead_ms.map(|ahead| at(display_ms - ahead));
+                (display_ms, guard.check(at(display_ms), Span::from_millis(10), at(host_ms), runtime_now))
+            })
+            .collect();
+        let replaced = predictions.iter().take_while(|(_, p)| p.fault.is_some()).count();
+        for (frame, (display_ms, p)) in predictions.iter().enumerate().skip(replaced) {
+            assert_eq!((p.display, p.fault, p.rebased), (at(*display_ms), None, frame == replaced));
+        }
+        assert!(predictions.iter().take(replaced).all(|(_, p)| !p.rebased));
+        replaced
+    }
+
+    /// The first right time does not yet run on from anything; five that do are replaced no longer at the fifth.
+    #[test]
+    fn a_first_time_in_the_far_future_locks_nothing_out() {
+        let mut guard = TimeGuard::default();
+        let far_ms = 27 * DAY_NS / MS;
+        assert_eq!(check(&mut guard, far_ms, 0).fault, None, "nothing to compare it with");
+        assert_eq!(replaced_before_belief(&mut guard, 5000, None), 5);
+    }
+
+    #[test]
+    fn a_first_time_that_is_not_positive_locks_nothing_out() {
+        for first_ms in [0, -7000] {
+            let mut guard = TimeGuard::default();
+            assert!(check(&mut guard, first_ms, 0).fault.is_some());
+            assert_eq!(replaced_before_belief(&mut guard, 80_000_000, None), 5);
+        }
+    }
+
+    #[test]
+    fn a_base_two_seconds_ahead_of_the_runtimes_clock_is_left() {
+        let mut guard = TimeGuard::default();
+        let p = guard.check(at(6900), Span::from_millis(10), at(0), Some(at(5000)));
+        assert_eq!(p.fault, None);
+        assert_eq!(replaced_before_belief(&mut guard, 5030, Some(20)), 5);
+    }
+
+    /// Times that run on steadily but that the runtime's own clock contradicts, or that are no times, stay replaced.
+    #[test]
+    fn steady_nonsense_is_not_believed() {
+        let day = DAY_NS / MS;
+        for (first_ms, runtime_ms) in [(27 * day, Some(5000)), (-27 * day, Some(5000)), (-27 * day, None)] {
+            let mut guard = TimeGuard::default();
+            for frame in 0..100 {
+                let runtime_now = runtime_ms.map(|ms| at(ms + 10 * frame));
+                let display = at(first_ms + 10 * frame);
+                let p = guard.check(display, Span::from_millis(10), at(10 * frame), runtime_now);
+                assert!(p.fault.is_some() && !p.rebased, "{p:?}");
+            }
+        }
+    }
+
     #[test]
     fn absurd_periods_are_replaced_by_the_last_good_one() {
         let mut guard = TimeGuard::default();
         check(&mut guard, 1000, 0);
         for period in [0, -1, 16_570 * 3_600_000 * MS, i64::MAX] {
-            let mut next = TimeGuard { last: guard.last, period: guard.period };
+            let mut next = TimeGuard { last: guard.last, period: guard.period, ..TimeGuard::default() };
             let p = next.check(at(1010), Span::from_nanos(period), at(10), None);
             assert_eq!(p.period, Span::from_millis(10));
             assert_eq!(p.fault, Some(TimeFault::Period(Span::from_nanos(period))));
