@@ -43,8 +43,9 @@ pub struct RunConfig {
     pub seconds: Option<f64>,
     /// How long to wait for a runtime and a headset that are not there yet, seconds. Default 0.
     pub wait_s: f64,
-    /// How long no frame may be shown before the run gives up, seconds of the host's clock. Default 60; a headset that
-    /// nobody wears shows none.
+    /// How long the run waits for its first frame before it gives up, seconds of the host's clock. Default 60; a headset
+    /// that nobody wears shows none. Later, only the time counts in which the headset wants pictures and none can be
+    /// shown: who has worn it may put it down.
     pub patience_s: f64,
     /// How often a lost session is asked for anew. Default 3.
     pub retries: u32,

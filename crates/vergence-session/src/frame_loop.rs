@@ -48,9 +48,35 @@ struct Session {
     walked: nalgebra::Vector3<f64>,
     /// `None` until the floor is known, and after the origin has moved.
     world_from_local: Option<Rigid>,
+    recentring: Option<Recentring>,
     views: Vec<View>,
     slot: usize,
     first_display: Option<Timestamp>,
+}
+
+/// Announced moves of LOCAL's origin: from the first on the floor is asked for anew, until the last has happened.
+#[derive(Clone, Copy)]
+struct Recentring {
+    first: Timestamp,
+    last: Timestamp,
+}
+
+impl Recentring {
+    /// One more move, at the instant `at`.
+    fn and(pending: Option<Self>, at: Timestamp) -> Self {
+        pending
+            .map_or(Self { first: at, last: at }, |p| Self { first: p.first.min(at), last: p.last.max(at) })
+    }
+}
+
+/// What became of a frame.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Outcome {
+    Shown,
+    /// The runtime wants no picture now: nobody looks.
+    Unasked,
+    /// It wants one, and nothing could be drawn.
+    Withheld,
 }
 
 /// CPU time of this thread that is ours: neither the driver's nor the runtime's.
@@ -162,6 +188,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
         world_from_start: place::start_of(&run.scene),
         walked: nalgebra::Vector3::zeros(),
         world_from_local: None,
+        recentring: None,
         views: Vec::with_capacity(Located::MOST_VIEWS),
         slot: 0,
         first_display: None,
@@ -180,22 +207,23 @@ fn mask(client: &mut Client, renderer: &mut Renderer) -> Result<bool, Error> {
 /// The loop, until the run or the session is over.
 fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
     let patience = Duration::try_from_secs_f64(run.config.patience_s).unwrap_or(Duration::MAX);
-    let mut last_shown = Instant::now();
+    let mut waiting_since = Instant::now();
     let mut leaving: Option<Instant> = None;
     loop {
         let began = OurCpu::now(&session.client);
         let state = session.client.poll()?;
         attend(run, session)?;
         match state {
-            State::Running { .. } => {
-                if frame(run, session, began, leaving.is_some())? {
-                    last_shown = Instant::now();
-                }
-            }
+            State::Running { .. } => match frame(run, session, began, leaving.is_some())? {
+                Outcome::Shown => waiting_since = Instant::now(),
+                Outcome::Unasked => forbear(run, &mut waiting_since),
+                Outcome::Withheld => {}
+            },
             State::Lost { .. } => return Ok(End::Lost(State::Lost { retry: true }.sentence().to_owned())),
             State::Exiting => return Ok(End::Over(state)),
             State::Idle | State::Flat | State::WaitingForRuntime => {
                 run.tally.pause();
+                forbear(run, &mut waiting_since);
                 std::thread::sleep(IDLE_POLL);
             }
         }
@@ -213,12 +241,19 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
             return Ok(End::Over(session.client.state()));
         }
         // Who has a window can close it.
-        if run.desk.is_none() && last_shown.elapsed() > patience {
+        if run.desk.is_none() && waiting_since.elapsed() > patience {
             return Err(Error::Stalled {
                 waited_s: patience.as_secs(),
                 state: session.client.state().sentence(),
             });
         }
+    }
+}
+
+/// Who has used the headset may put it down for as long as they like; patience ends only with one that nobody puts on.
+fn forbear(run: &Run<'_>, waiting_since: &mut Instant) {
+    if run.tally.frames > 0 {
+        *waiting_since = Instant::now();
     }
 }
 
@@ -230,11 +265,11 @@ fn is_over(run: &Run<'_>) -> bool {
 /// Says what has happened, and follows it.
 fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
     let mut mask_changed = false;
-    let Session { client, world_from_local, .. } = session;
+    let Session { client, recentring, .. } = session;
     for notice in client.drain_notices() {
         match notice {
             Notice::State(state) => run.report.states.push(state.name().to_owned()),
-            Notice::Recentred { .. } => *world_from_local = None,
+            Notice::Recentred { at } => *recentring = Some(Recentring::and(*recentring, at)),
             Notice::HiddenAreaChanged => mask_changed = true,
             Notice::HandsChanged | Notice::RefreshRate { .. } | Notice::Time(_) | Notice::EventsLost(_) => {}
         }
@@ -247,21 +282,32 @@ fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
     Ok(())
 }
 
-/// One frame; whether it was shown.
-fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool) -> Result<bool, Error> {
+/// One frame.
+fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool) -> Result<Outcome, Error> {
     let frame = session.client.wait()?;
     session.client.begin()?;
     let display = frame.prediction.display;
-    let first_look = if frame.should_render && !leaving { session.client.locate(display)? } else { None };
-    let Some(culled) = first_look else {
+    if frame.prediction.rebased {
+        // The time between this frame and the one before has not passed.
+        run.tally.pause();
+        session.first_display = None;
+    }
+    if leaving || !frame.should_render {
         session.client.end(&frame, None)?;
-        return Ok(false);
+        return Ok(Outcome::Unasked);
+    }
+    let Some(culled) = session.client.locate(display)? else {
+        session.client.end(&frame, None)?;
+        return Ok(Outcome::Withheld);
     };
     session.client.sync_input(display)?;
     let head = session.client.locate_head(display)?.reference_from_device();
     let world_from_local = follow_user(run, session, &frame, head.as_ref())?;
 
-    let images = session.client.acquire()?;
+    let Some(images) = session.client.acquire()? else {
+        session.client.end(&frame, None)?;
+        return Ok(Outcome::Withheld);
+    };
     let attachments = Attachments::swapchain(&images.color, images.depth.as_ref());
     let first_display = *session.first_display.get_or_insert(display);
     let animation_time = display.since(first_display).unwrap_or(Span::ZERO);
@@ -278,9 +324,7 @@ fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool)
 
     let drawn = OurCpu::now(&session.client);
     photograph(run, session, &frame, &shown, head.as_ref(), &images)?;
-    if let Some(desk) = &mut run.desk {
-        desk.show(images.color.image(), session.client.pictures().views)?;
-    }
+    mirror(run, &images, session.client.pictures().views)?;
     let photographed = OurCpu::now(&session.client);
     session.client.end(&frame, Some(&shown))?;
     let ended = OurCpu::now(&session.client);
@@ -297,7 +341,20 @@ fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool)
         log.write(number, display, head, eyes.map(|(pose, fov)| (pose.map(f64::from), fov.map(f64::from))))?;
     }
     (run.watch)(Happening::Frame { shown: run.tally.frames, seconds: run.tally.elapsed().as_secs_f64() });
-    Ok(true)
+    Ok(Outcome::Shown)
+}
+
+/// Shows the frame in the window, where there is one. A window that is gone takes nothing from the headset.
+fn mirror(run: &mut Run<'_>, images: &vergence_xr::Attachments, views: u32) -> Result<(), Error> {
+    let Some(desk) = &mut run.desk else { return Ok(()) };
+    match desk.show(images.color.image(), views) {
+        Err(error @ Error::Gpu(gpu::Error::Surface { .. })) => {
+            desk.detach();
+            run.say(&format!("{error}; going on without the mirror"));
+            Ok(())
+        }
+        shown => shown,
+    }
 }
 
 /// The located eyes in world coordinates.
@@ -314,14 +371,21 @@ fn follow_user(
     frame: &Frame,
     head: Option<&Rigid>,
 ) -> Result<Rigid, Error> {
+    let display = frame.prediction.display;
+    if let Some(moves) = session.recentring.filter(|moves| moves.first <= display) {
+        session.world_from_local = None;
+        session.recentring = Some(moves).filter(|moves| moves.last > display);
+    }
     let placed = match session.world_from_local {
         Some(placed) => placed,
         None => {
-            let local_from_floor = session.client.local_from_floor(frame.prediction.display)?;
-            place::world_from_local(&session.world_from_start, &local_from_floor)
+            let located = session.client.local_from_floor(display)?;
+            let world_from_local = |floor: &Rigid| place::world_from_local(&session.world_from_start, floor);
+            // An assumed floor serves this frame only: the next one may know the real one.
+            session.world_from_local = located.as_ref().map(world_from_local);
+            session.world_from_local.unwrap_or_else(|| world_from_local(&place::assumed_floor()))
         }
     };
-    session.world_from_local = Some(placed);
     let world_from_local = nalgebra::Translation3::from(session.walked) * placed;
     if let Some(touching) = &mut session.touching {
         let period = frame.prediction.period;

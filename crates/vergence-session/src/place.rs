@@ -4,7 +4,8 @@ use nalgebra::UnitQuaternion;
 use vergence_geom::Rigid;
 use vergence_scene::Scene;
 
-/// Height of the eyes over the floor for whom a scene without a start is arranged, metres.
+/// Height of the eyes over the floor for whom a scene without a start is arranged, and where the floor is not known,
+/// metres.
 const EYE_HEIGHT_M: f64 = 1.6;
 /// A scene this high or higher is something to stand in; a lower one is put before the eyes.
 const ROOM_HEIGHT_M: f64 = 2.2;
@@ -35,6 +36,11 @@ pub fn start_of(scene: &Scene) -> Rigid {
         nalgebra::Translation3::new(centre.x, floor_m, bounds.max.z + ahead_m),
         UnitQuaternion::identity(),
     )
+}
+
+/// The floor in LOCAL while the runtime knows none: LOCAL's origin is where the eyes were at first.
+pub(crate) fn assumed_floor() -> Rigid {
+    Rigid::translation(0.0, -EYE_HEIGHT_M, 0.0)
 }
 
 /// Where LOCAL's origin is in the world, when its floor is at `local_from_floor`.

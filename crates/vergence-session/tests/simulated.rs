@@ -276,6 +276,32 @@ fn the_headset_is_taken_off_and_put_on_again() {
     assert_quiet(&report);
 }
 
+/// Who has worn the headset may put it down for longer than the patience with one that nobody puts on.
+#[test]
+fn the_headset_may_be_off_for_long_once_it_was_worn() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("long-away");
+    let config = RunConfig { patience_s: 2.0, ..config(&folder, 60) };
+    let (mut took_off, control) = (false, config.control.clone());
+    let report = run(&disc(false), &config, &mut |happening| match happening {
+        Happening::Frame { shown: 20, .. } if !std::mem::replace(&mut took_off, true) => {
+            control.set_presence(Presence::Away);
+            let control = control.clone();
+            std::thread::spawn(move || {
+                std::thread::sleep(std::time::Duration::from_secs(4));
+                control.set_presence(Presence::Focused);
+            });
+        }
+        _ => {}
+    })
+    .unwrap();
+    assert!(took_off);
+    assert_eq!((report.frames, report.losses), (60, 0), "{:?}", report.states);
+    assert_quiet(&report);
+}
+
 /// A headset that nobody puts on is not waited for without end.
 #[test]
 fn nobody_puts_the_headset_on() {

@@ -25,8 +25,6 @@ use crate::time_guard::{Prediction, TimeGuard};
 const COLOR_FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
 /// Depth formats in the order in which they are liked.
 const DEPTH_FORMATS: [vk::Format; 1] = [vk::Format::D32_SFLOAT];
-/// Height of the eyes over the floor where the runtime does not know its floor, metres.
-const ASSUMED_EYE_HEIGHT_M: f64 = 1.6;
 
 /// What a session shall be.
 #[derive(Clone, Copy, Debug)]
@@ -340,38 +338,43 @@ impl Client {
         Ok(convert::pose(located.location_flags, &located.pose))
     }
 
-    /// Where the floor's origin is in LOCAL space at the instant `time`: upright, below LOCAL's origin. Where the runtime
-    /// knows no floor, 1.6 m below.
+    /// Where the floor's origin is in LOCAL space at the instant `time`: upright, below LOCAL's origin. `None` where the
+    /// runtime knows no floor, or not yet.
     ///
     /// # Errors
     /// A loss.
-    pub fn local_from_floor(&mut self, time: Timestamp) -> Result<Rigid, Error> {
-        let assumed = Rigid::translation(0.0, -ASSUMED_EYE_HEIGHT_M, 0.0);
-        let Self { clock, floor: Some(floor), local, .. } = self else { return Ok(assumed) };
+    pub fn local_from_floor(&mut self, time: Timestamp) -> Result<Option<Rigid>, Error> {
+        let Self { clock, floor: Some(floor), local, .. } = self else { return Ok(None) };
         let time = openxr::Time::from_nanos(time.as_nanos());
         let located = clock.during(|| floor.locate(local, time)).during("xrLocateSpace");
         let located = self.note(located)?;
         let floor = convert::pose(located.location_flags, &located.pose).reference_from_device();
         // Only its height: STAGE may lie and turn anywhere in the room.
-        Ok(floor
-            .map_or(assumed, |local_from_floor| Rigid::translation(0.0, local_from_floor.translation.y, 0.0)))
+        Ok(floor.map(|local_from_floor| Rigid::translation(0.0, local_from_floor.translation.y, 0.0)))
     }
 
-    /// Images to draw the frame into.
+    /// Images to draw the frame into. `None` where the compositor keeps them for longer than two seconds: such a frame is
+    /// ended without a picture, and the next one asks for the same images.
     ///
     /// # Errors
-    /// A loss, or a compositor that keeps its images.
-    pub fn acquire(&mut self) -> Result<Attachments, Error> {
+    /// A loss.
+    pub fn acquire(&mut self) -> Result<Option<Attachments>, Error> {
         let acquired = self.acquire_both();
         self.note(acquired)
     }
 
-    fn acquire_both(&mut self) -> Result<Attachments, Error> {
+    fn acquire_both(&mut self) -> Result<Option<Attachments>, Error> {
         let Self { clock, color, depth, .. } = self;
         clock.during(|| {
-            let color = Arc::clone(color.acquire()?);
-            let depth = depth.as_mut().map(|d| d.acquire().map(Arc::clone)).transpose()?;
-            Ok(Attachments { color, depth })
+            let Some(color) = color.acquire()?.map(Arc::clone) else { return Ok(None) };
+            let depth = match depth {
+                None => None,
+                Some(depth) => match depth.acquire()? {
+                    None => return Ok(None),
+                    Some(depth) => Some(Arc::clone(depth)),
+                },
+            };
+            Ok(Some(Attachments { color, depth }))
         })
     }
 
@@ -408,8 +411,10 @@ impl Client {
         }
         let near_z = *near_m as f32;
         clock.during(|| {
-            color.release()?;
-            depth.as_mut().map_or(Ok(()), Swapchain::release)?;
+            if shown.is_some() {
+                color.release()?;
+                depth.as_mut().map_or(Ok(()), Swapchain::release)?;
+            }
             let Pictures { size, views, .. } = *pictures;
             let depth_info = std::array::from_fn::<_, { Located::MOST_VIEWS }, _>(|view| {
                 depth.as_ref().map(|depth| sys::CompositionLayerDepthInfoKHR {

@@ -19,8 +19,15 @@ pub(crate) struct Swapchain {
     views: Vec<Arc<ImageView>>,
     raw: openxr::Swapchain<openxr::Vulkan>,
     instance: openxr::Instance,
-    /// Acquired and not released yet.
-    held: Option<u32>,
+    held: Option<Held>,
+}
+
+/// An image that was acquired and not released yet.
+#[derive(Clone, Copy)]
+struct Held {
+    index: u32,
+    /// Whether the compositor has let go of it.
+    waited: bool,
 }
 
 /// What to make.
@@ -93,11 +100,12 @@ impl Swapchain {
         Ok(Self { views, raw, instance: session.instance().clone(), held: None })
     }
 
-    /// An image to draw into, once the compositor has let go of it.
-    pub(crate) fn acquire(&mut self) -> Result<&Arc<ImageView>, Error> {
-        let index = match self.held {
-            // The frame before failed between acquire and release: the image is still ours.
-            Some(index) => index,
+    /// An image to draw into, once the compositor has let go of it; `None` where it does not in time. Until its release it
+    /// is always the same image, however often it is asked for: a compositor has few.
+    pub(crate) fn acquire(&mut self) -> Result<Option<&Arc<ImageView>>, Error> {
+        let held = match self.held {
+            // The frame before ended between acquire and release: the image is still ours.
+            Some(held) => held,
             None => {
                 let mut index = 0;
                 // SAFETY: the swapchain lives; a null acquire info is allowed.
@@ -109,33 +117,34 @@ impl Swapchain {
                     )
                 };
                 check("xrAcquireSwapchainImage", result)?;
-                let info = sys::SwapchainImageWaitInfo {
-                    ty: sys::SwapchainImageWaitInfo::TYPE,
-                    next: std::ptr::null(),
-                    timeout: openxr::Duration::from_nanos(PATIENCE_NS),
-                };
-                // SAFETY: the swapchain lives and has an image that is acquired and not waited for.
-                let result = unsafe { (self.instance.fp().wait_swapchain_image)(self.raw.as_raw(), &info) };
-                if check("xrWaitSwapchainImage", result)? == sys::Result::TIMEOUT_EXPIRED {
-                    return Err(Error::Call {
-                        call: "xrWaitSwapchainImage",
-                        result: sys::Result::TIMEOUT_EXPIRED,
-                    });
-                }
-                self.held = Some(index);
-                index
+                *self.held.insert(Held { index, waited: false })
             }
         };
-        self.views.get(index as usize).ok_or_else(|| Error::Unsupported {
+        if !held.waited {
+            let info = sys::SwapchainImageWaitInfo {
+                ty: sys::SwapchainImageWaitInfo::TYPE,
+                next: std::ptr::null(),
+                timeout: openxr::Duration::from_nanos(PATIENCE_NS),
+            };
+            // SAFETY: the swapchain lives and has an image that is acquired and not waited for.
+            let result = unsafe { (self.instance.fp().wait_swapchain_image)(self.raw.as_raw(), &info) };
+            if check("xrWaitSwapchainImage", result)? == sys::Result::TIMEOUT_EXPIRED {
+                log::warn!("the compositor keeps image {} for longer than 2 s", held.index);
+                return Ok(None);
+            }
+            self.held = Some(Held { waited: true, ..held });
+        }
+        let view = self.views.get(held.index as usize).ok_or_else(|| Error::Unsupported {
             what: "index of a swapchain image",
             expected: format!("below {}", self.views.len()),
-            found: index.to_string(),
-        })
+            found: held.index.to_string(),
+        })?;
+        Ok(Some(view))
     }
 
-    /// Gives the image to the compositor.
+    /// Gives the image to the compositor; one that it has not let go of stays held.
     pub(crate) fn release(&mut self) -> Result<(), Error> {
-        if self.held.take().is_none() {
+        if self.held.take_if(|held| held.waited).is_none() {
             return Ok(());
         }
         // SAFETY: the swapchain lives and has an image that is acquired and waited for; null info is allowed.

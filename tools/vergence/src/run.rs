@@ -43,7 +43,7 @@ pub struct Args {
     /// Waits for a headset that is not there yet
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     wait: f64,
-    /// Gives up where no frame is shown for so long
+    /// Gives up where no first frame is shown for so long
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     patience: f64,
     /// Mirrors the pictures in a window until it is closed; drag to look, W A S D and Q E to go, right button to take
