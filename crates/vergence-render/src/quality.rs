@@ -1,5 +1,7 @@
 use crate::Error;
 
+const DEFAULT_ANISOTROPY: f32 = 4.0;
+
 /// The knobs of the picture. Costs and errors are measured by `vergence trade render`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quality {
@@ -7,8 +9,8 @@ pub struct Quality {
     /// smoother edges, more memory and fill; shading stays once per pixel.
     pub msaa: u32,
     /// Texture samples along the line of sight at slanted surfaces: 1 (trilinear) … the device's maximum (16 as a rule). Default
-    /// 4. More: sharper floors, more texture fetches.
-    pub anisotropy: f32,
+    /// `None`: 4, or what the device has where that is less. More: sharper floors, more texture fetches.
+    pub anisotropy: Option<f32>,
     /// Width and height of the picture relative to what the headset recommends, 0.1…2. Default 1. Cost grows with its
     /// square. Applied by who makes the target.
     pub render_scale: f64,
@@ -31,7 +33,7 @@ impl Default for Quality {
     fn default() -> Self {
         Self {
             msaa: 4,
-            anisotropy: 4.0,
+            anisotropy: None,
             render_scale: 1.0,
             normal_maps: true,
             near_m: 0.05,
@@ -43,15 +45,22 @@ impl Default for Quality {
 }
 
 impl Quality {
+    /// The anisotropy on a device with `limits`: what was asked for, which [`Quality::check`] may refuse, else the
+    /// default as far as the device has it.
+    pub fn anisotropy_on(&self, limits: &vergence_gpu::Limits) -> f32 {
+        self.anisotropy.unwrap_or_else(|| limits.max_anisotropy.min(DEFAULT_ANISOTROPY))
+    }
+
     /// Whether the values are in their ranges and `limits` can give them.
     ///
     /// # Errors
     /// The first that is not, with what the device can give.
     pub fn check(&self, limits: &vergence_gpu::Limits) -> Result<(), Error> {
         limits.check_msaa(self.msaa)?;
-        if !(1.0..=limits.max_anisotropy).contains(&self.anisotropy) {
+        let anisotropy = self.anisotropy_on(limits);
+        if !(1.0..=limits.max_anisotropy).contains(&anisotropy) {
             let expected = format!("1 to {} on {}", limits.max_anisotropy, limits.name);
-            return Err(Error::range("anisotropy", expected, self.anisotropy));
+            return Err(Error::range("anisotropy", expected, anisotropy));
         }
         if !(0.1..=2.0).contains(&self.render_scale) {
             return Err(Error::range("render scale", "0.1 to 2", self.render_scale));

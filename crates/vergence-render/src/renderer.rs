@@ -200,8 +200,8 @@ impl Renderer {
         let mut upload = Upload::new(device)?;
         let frame_sets = frame_set_layout(device)?;
         let geometry = upload_geometry(&mut upload, &meshes)?;
-        let textures =
-            textures::upload(device, &mut upload, scene, &meshes.texture_sets, quality.anisotropy)?;
+        let anisotropy = quality.anisotropy_on(device.limits());
+        let textures = textures::upload(device, &mut upload, scene, &meshes.texture_sets, anisotropy)?;
         let skinning = Skinning::new(device, &mut upload, &meshes, frames_in_flight)?;
         let labels = if needs.text {
             Labels::new(device, &mut upload, scene, &frame_sets, target, quality.msaa)?

@@ -237,6 +237,17 @@ fn a_hidden_area_stays_empty_in_its_view_only() {
 }
 
 #[test]
+fn only_an_anisotropy_that_was_asked_for_is_refused() {
+    let Some(device) = device() else { return };
+    let without = vergence_gpu::Limits { max_anisotropy: 1.0, ..device.limits().clone() };
+    let (default, asked) = (Quality::default(), Quality { anisotropy: Some(2.0), ..Quality::default() });
+    assert!(default.check(&without).is_ok());
+    assert_eq!((default.anisotropy_on(&without), default.anisotropy_on(device.limits())), (1.0, 4.0));
+    let error = asked.check(&without).unwrap_err().to_string();
+    assert!(error.starts_with("anisotropy: expected 1 to 1 on ") && error.ends_with("found 2"), "{error}");
+}
+
+#[test]
 fn a_frame_that_was_not_submitted_is_begun_anew() {
     let Some(device) = device() else { return };
     let scene = Arc::new(with_mesh(quad(4.0), unlit([1.0; 4])));

@@ -15,7 +15,7 @@ use vergence_scene::model::{
 const SIZE: (u32, u32) = (256, 256);
 const PLAIN: Quality = Quality {
     msaa: 1,
-    anisotropy: 1.0,
+    anisotropy: Some(1.0),
     render_scale: 1.0,
     normal_maps: true,
     near_m: 0.05,

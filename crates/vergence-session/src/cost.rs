@@ -37,7 +37,7 @@ pub fn cost_of(scene: &Arc<Scene>, plan: &Plan) -> Result<Cost, Error> {
     let instance = gpu::Instance::new(&gpu::InstanceDesc::default(), None)?;
     let device = gpu::Device::new(&instance, &gpu::DeviceDesc::default(), None)?;
     let normal_maps = plan.needs.surfaces.iter().any(|surface| surface.normal_texture);
-    let quality = Quality { msaa: 1, anisotropy: 1.0, normal_maps, ..Quality::default() };
+    let quality = Quality { msaa: 1, anisotropy: Some(1.0), normal_maps, ..Quality::default() };
     let target = Target::new((64, 64), 2);
     let build = |scene: &Arc<Scene>, plan: &Plan| -> Result<gpu::Census, Error> {
         let renderer = Renderer::new(&device, scene, &plan.needs, &quality, &target, 1)?;

@@ -52,9 +52,9 @@ pub struct Args {
     /// Samples per pixel for edges
     #[arg(long, value_name = "N", default_value_t = Quality::default().msaa)]
     msaa: u32,
-    /// Texture samples along the line of sight
-    #[arg(long, value_name = "N", default_value_t = Quality::default().anisotropy)]
-    anisotropy: f32,
+    /// Texture samples along the line of sight [default: 4, or what the device has]
+    #[arg(long, value_name = "N")]
+    anisotropy: Option<f32>,
     /// Leaves normal maps out
     #[arg(long)]
     no_normal_maps: bool,
@@ -132,6 +132,7 @@ impl Args {
         let instance = Instance::new(&desc, None).map_err(|e| Failure::work(&e))?;
         let device = Device::new(&instance, &DeviceDesc::default(), None).map_err(|e| Failure::work(&e))?;
         quality.check(device.limits()).map_err(|e| Failure::call(&e))?;
+        let anisotropy = quality.anisotropy_on(device.limits());
         let target = Target::new(self.size, views.len() as u32);
         let needs = Needs::of(&scene, quality.normal_maps);
         let renderer = Renderer::new(&device, &scene, &needs, &quality, &target, 1);
@@ -159,7 +160,7 @@ impl Args {
                     "size": [self.size.0, self.size.1],
                     "views": views.len(),
                     "msaa": self.msaa,
-                    "anisotropy": self.anisotropy,
+                    "anisotropy": anisotropy,
                     "camera": framing.describe(),
                     "triangles": statistics.triangles,
                     "triangles_drawn": statistics.triangles_drawn,
@@ -181,7 +182,7 @@ impl Args {
                 self.size.0,
                 self.size.1,
                 self.msaa,
-                self.anisotropy,
+                anisotropy,
                 statistics.triangles,
                 statistics.triangles_drawn,
                 median(&times.wall_ms),

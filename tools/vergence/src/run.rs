@@ -131,7 +131,7 @@ impl Args {
         if let Some(path) = &self.quality {
             let knobs = QualityFile::read(path).map_err(|error| Failure::call(&error))?.quality;
             quality.msaa = knobs.msaa.unwrap_or(quality.msaa);
-            quality.anisotropy = knobs.anisotropy.unwrap_or(quality.anisotropy);
+            quality.anisotropy = knobs.anisotropy.or(quality.anisotropy);
             quality.render_scale = knobs.render_scale.unwrap_or(quality.render_scale);
             quality.normal_maps = knobs.normal_maps.unwrap_or(quality.normal_maps);
         }

@@ -218,7 +218,7 @@ fn quality(setting: &Setting) -> Quality {
     let default = Quality::default();
     Quality {
         msaa: file.msaa.unwrap_or(default.msaa),
-        anisotropy: file.anisotropy.unwrap_or(default.anisotropy),
+        anisotropy: file.anisotropy.or(default.anisotropy),
         render_scale: file.render_scale.unwrap_or(default.render_scale),
         normal_maps: file.normal_maps.unwrap_or(default.normal_maps),
         ..default
@@ -234,7 +234,7 @@ fn truth(
 ) -> Result<Vec<Picture>, Failure> {
     let quality = Quality {
         msaa: studio.most_msaa(),
-        anisotropy: studio.most_anisotropy(),
+        anisotropy: Some(studio.most_anisotropy()),
         normal_maps: true,
         render_scale: 1.0,
         near_m,
