@@ -133,13 +133,24 @@ fn the_virtual_clock_does_not_know_the_load() {
         return;
     }
     let folders = [0, 1].map(|_| tempfile::tempdir().expect("a folder for the run"));
-    let [first, second] =
-        folders.each_ref().map(|folder| run(&sample(), folder.path(), &["--frames", "20"]).1);
+    let [quiet, loaded] = folders.each_ref().map(tempfile::TempDir::path);
+    let first = run(&sample(), quiet, &["--frames", "20"]).1;
+    let done = std::sync::atomic::AtomicBool::new(false);
+    let second = std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| while !done.load(std::sync::atomic::Ordering::Relaxed) {});
+        }
+        let frames = run(&sample(), loaded, &["--frames", "20"]).1;
+        done.store(true, std::sync::atomic::Ordering::Relaxed);
+        frames
+    });
     assert_eq!(first.len(), 20);
     assert_eq!(first, second);
     let step = first[1].predicted_display_ns - first[0].predicted_display_ns;
     assert!(
-        first.windows(2).all(|pair| pair[1].predicted_display_ns - pair[0].predicted_display_ns - step <= 1)
+        first
+            .windows(2)
+            .all(|pair| (pair[1].predicted_display_ns - pair[0].predicted_display_ns - step).abs() <= 1)
     );
 }
 
@@ -151,7 +162,10 @@ fn plans_differ_as_scenes_do() {
         assert!(output.status.success(), "{}", told(&output));
         vergence_tests::last_object(&String::from_utf8_lossy(&output.stdout)).expect("plan prints an object")
     };
-    assert_ne!(plan(&data.join("scenes/gltf/Box.glb")), plan(&sample()));
+    let (small, room) = (plan(&data.join("scenes/gltf/Box.glb")), plan(&sample()));
+    assert!(small["plan"].is_object(), "plan prints no plan: {small}");
+    // The scene's name differs anyway: what it requires must.
+    assert_ne!(small["plan"], room["plan"]);
 }
 
 #[test]
@@ -169,5 +183,9 @@ fn a_wrong_call_is_told_from_failed_work() {
     let picture = folder.path().join("picture.png");
     let fine = vergence(arguments!["render", &scene, "--size", "64x64", "--msaa", "3", "-o", &picture]);
     assert_eq!(fine.status.code(), Some(2), "{}", told(&fine));
-    assert!(told(&fine).contains('4'), "the message does not say what the device can give: {}", told(&fine));
+    assert!(
+        told(&fine).contains("can give MSAA 1"),
+        "the message does not say what the device can give: {}",
+        told(&fine)
+    );
 }

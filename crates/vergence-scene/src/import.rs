@@ -33,6 +33,8 @@ impl Default for Limits {
     }
 }
 
+/// Longest path that a scene may name, in bytes: Linux's own limit.
+const LONGEST_PATH_BYTES: usize = 4096;
 /// So many warnings are told apart; a broken file could have any number.
 const MOST_WARNINGS: usize = 64;
 
@@ -97,6 +99,14 @@ impl<'a> Import<'a> {
     /// # Errors
     /// Where it is not a relative path to a file inside the scene's folder.
     pub(crate) fn resolve(&self, from: &Path, place: &str, relative: &str) -> Result<PathBuf, Error> {
+        if relative.len() > LONGEST_PATH_BYTES {
+            let found = relative.len();
+            return Err(Error::invalid(
+                from,
+                place,
+                format!("expected a path of at most {LONGEST_PATH_BYTES} bytes, found {found}"),
+            ));
+        }
         let expected = |found: &str| {
             Error::invalid(
                 from,
@@ -116,23 +126,23 @@ impl<'a> Import<'a> {
         }
         let joined = from.parent().unwrap_or(Path::new("")).join(relative);
         // Whether a file outside exists is not said: an escape by name is refused before the system is asked.
-        let mut depth = 0i64;
+        let base_depth = from
+            .parent()
+            .and_then(|parent| {
+                if parent.as_os_str().is_empty() { Path::new(".") } else { parent }.canonicalize().ok()
+            })
+            .and_then(|parent| {
+                parent.strip_prefix(&self.root).ok().map(|below| below.components().count() as i64)
+            })
+            .unwrap_or(0);
+        let mut depth = base_depth;
         for component in Path::new(relative).components() {
             depth += match component {
                 Component::Normal(_) => 1,
                 Component::ParentDir => -1,
                 _ => 0,
             };
-            let base_depth = from
-                .parent()
-                .and_then(|parent| {
-                    if parent.as_os_str().is_empty() { Path::new(".") } else { parent }.canonicalize().ok()
-                })
-                .and_then(|parent| {
-                    parent.strip_prefix(&self.root).ok().map(|below| below.components().count() as i64)
-                })
-                .unwrap_or(0);
-            if depth + base_depth < 0 {
+            if depth < 0 {
                 return Err(expected(" outside of it"));
             }
         }

@@ -376,6 +376,8 @@ fn a_scene_cannot_read_outside_of_its_folder() {
         "file:///etc/passwd".to_owned(),
         String::new(),
         ".".to_owned(),
+        // Long enough that asking the system about each step would take minutes.
+        "models/../".repeat(100_000),
     ];
     #[cfg(unix)]
     {
@@ -399,7 +401,9 @@ fn a_scene_cannot_read_outside_of_its_folder() {
         for path in [gltf, toml, material] {
             match load(&path, &Limits::default()) {
                 Err(Error::Invalid { message, .. }) => assert!(
-                    message.contains("inside the scene's folder") || message.contains("expected a file"),
+                    message.contains("inside the scene's folder")
+                        || message.contains("expected a file")
+                        || message.contains("expected a path of at most 4096 bytes"),
                     "{way}: {message}"
                 ),
                 other => panic!("{way} in {}: {:?}", path.display(), other.map(|scene| scene.name)),
