@@ -1,8 +1,9 @@
 //! Where the user stands in the scene.
 
-use nalgebra::UnitQuaternion;
+use nalgebra::{UnitQuaternion, Vector3};
 use vergence_geom::Rigid;
 use vergence_scene::Scene;
+use vergence_scene::model::WorldTransforms;
 
 /// Height of the eyes over the floor for whom a scene without a start is arranged, and where the floor is not known,
 /// metres.
@@ -14,11 +15,14 @@ const INSIDE: f64 = 0.15;
 /// Nearest and farthest distance from the front of the scene, metres.
 const DISTANCE_M: (f64, f64) = (0.6, 3.0);
 
-/// The user's floor origin in world coordinates (y up, −z ahead): the scene's own start; else, where the scene is as
-/// high as a room, inside of it, near its front (+z) and on its lowest point; else in front of it, so that its middle is
-/// before the eyes.
+/// The user's floor origin in world coordinates (y up, −z ahead): the scene's own start; else where its first camera puts
+/// the eyes, upright; else, where the scene is as high as a room, inside of it, near its front (+z) and on its lowest
+/// point; else in front of it, so that its middle is before the eyes.
 pub fn start_of(scene: &Scene) -> Rigid {
     if let Some(world_from_start) = scene.world_from_start {
+        return world_from_start;
+    }
+    if let Some(world_from_start) = below_camera(scene) {
         return world_from_start;
     }
     let bounds = scene.bounds();
@@ -41,6 +45,20 @@ pub fn start_of(scene: &Scene) -> Rigid {
 /// The floor in LOCAL while the runtime knows none: LOCAL's origin is where the eyes were at first.
 pub(crate) fn assumed_floor() -> Rigid {
     Rigid::translation(0.0, -EYE_HEIGHT_M, 0.0)
+}
+
+/// The floor below the first camera, turned to where it looks; `None` without a camera, or where it looks straight up or
+/// down.
+fn below_camera(scene: &Scene) -> Option<Rigid> {
+    let node = scene.nodes.iter().position(|node| node.camera.is_some())?;
+    let world_from_camera = WorldTransforms::at_rest(scene).world_from_node[node];
+    let ahead = world_from_camera.linear * -Vector3::z();
+    let is_level = ahead.xz().norm() > 1e-3 * ahead.norm();
+    is_level.then(|| {
+        let yaw_rad = (-ahead.x).atan2(-ahead.z);
+        let floor = world_from_camera.translation - EYE_HEIGHT_M * Vector3::y();
+        Rigid::from_parts(floor.into(), UnitQuaternion::from_axis_angle(&Vector3::y_axis(), yaw_rad))
+    })
 }
 
 /// Where LOCAL's origin is in the world, when its floor is at `local_from_floor`.
@@ -83,6 +101,21 @@ mod tests {
         let room = start_of(&boxed([-20.0, -1.0, -20.0], [20.0, 9.0, 20.0]));
         assert_eq!((room.translation.y, room.translation.z), (-1.0, 14.0));
         assert_eq!(start_of(&Scene::default()), Rigid::identity());
+    }
+
+    #[test]
+    fn a_file_with_a_camera_starts_there() {
+        let mut scene = boxed([-20.0, -1.0, -20.0], [20.0, 9.0, 20.0]);
+        let place = Rigid::from_parts(
+            nalgebra::Translation3::new(-10.5, 1.7, 0.5),
+            UnitQuaternion::from_euler_angles(0.0, -std::f64::consts::FRAC_PI_2, 0.0),
+        );
+        let camera = Node { camera: Some(0), ..Node::at("camera", Local::Matrix(place.into())) };
+        scene.nodes.push(camera);
+        let start = start_of(&scene);
+        let eyes = start * nalgebra::Point3::new(0.0, EYE_HEIGHT_M, 0.0);
+        assert!((eyes.coords - place.translation.vector).norm() < 1e-12, "{eyes}");
+        assert!((start.rotation * -Vector3::z() - Vector3::x()).norm() < 1e-12);
     }
 
     #[test]

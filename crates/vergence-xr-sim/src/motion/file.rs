@@ -174,7 +174,7 @@ impl Motion {
 fn load(motion: &Path, name: &str) -> Result<Vec<Sample>, Error> {
     const DATA: &str = "${VERGENCE_DATA}";
     if let Some(rest) = name.strip_prefix(DATA) {
-        let folder = std::env::var_os("VERGENCE_DATA").map(PathBuf::from);
+        let folder = std::env::var_os("VERGENCE_DATA").filter(|folder| !folder.is_empty()).map(PathBuf::from);
         let path = folder.clone().unwrap_or_else(|| DATA.into()).join(rest.trim_start_matches('/'));
         return read_tum(&path).map_err(|error| match (error, &folder) {
             (Error::Trajectory { path, source, .. }, None) => {
