@@ -138,7 +138,11 @@ fn the_virtual_clock_does_not_know_the_load() {
     let done = std::sync::atomic::AtomicBool::new(false);
     let second = std::thread::scope(|scope| {
         for _ in 0..2 {
-            scope.spawn(|| while !done.load(std::sync::atomic::Ordering::Relaxed) {});
+            scope.spawn(|| {
+                while !done.load(std::sync::atomic::Ordering::Relaxed) {
+                    std::hint::spin_loop()
+                }
+            });
         }
         let frames = run(&sample(), loaded, &["--frames", "20"]).1;
         done.store(true, std::sync::atomic::Ordering::Relaxed);
