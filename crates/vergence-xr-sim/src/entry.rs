@@ -30,15 +30,16 @@ enum When {
 
 /// How a raw argument becomes one that the runtime takes.
 macro_rules! argument {
-    // SAFETY (of `In`, `Out` and `Buffer`): the application hands over pointers that are null or valid for the call, by
-    // the implicit valid usage of the OpenXR specification.
     (input $x:ident) => {
+        // SAFETY: by OpenXR's implicit valid usage the application hands over null or a pointer valid for the call.
         unsafe { In::new($x) }
     };
     (output $x:ident) => {
+        // SAFETY: as for `input`, and nobody else writes there during the call.
         unsafe { Out::new($x) }
     };
     (text64 $x:ident) => {
+        // SAFETY: as for `output`; the specification gives the array its 64 bytes.
         unsafe { Out::new($x.cast()) }
     };
     (value $x:ident) => {
@@ -84,6 +85,7 @@ macro_rules! entry_points {
                         #[allow(clippy::undocumented_unsafe_blocks, reason = "stated once, at `argument`")]
                         guard($name, || $function(
                             $(argument!($kind $x),)*
+                            // SAFETY: as for `argument!(output …)`: `items` holds `capacity` of them or is null.
                             $(unsafe { Buffer::new($capacity, $count, $items) })?
                         ))
                     }
