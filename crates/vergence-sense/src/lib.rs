@@ -16,10 +16,12 @@
 
 mod body;
 mod control;
+mod imu;
 mod pose;
 
 pub use body::{Gaze, HandJoint, HandJoints, JOINTS_PER_HAND, JointPose};
 pub use control::{Axis, Button, Haptic, Vector2};
+pub use imu::Imu;
 pub use pose::{Pose, Tracking, Velocity};
 
 use vergence_time::Timestamp;
