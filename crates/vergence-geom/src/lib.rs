@@ -18,11 +18,16 @@ mod affine;
 mod fov;
 mod frustum;
 mod ray;
+mod rotation;
 
 pub use affine::{Affine, Trs};
 pub use fov::{Fov, FovError, clip_from_eye, eye_depth_from_clip_depth, project};
 pub use frustum::{Frustum, Plane};
 pub use ray::Ray;
+pub use rotation::{
+    advance, exp, interpolate, left_jacobian, left_jacobian_inverse, log, mean, right_jacobian,
+    right_jacobian_inverse, slerp, stumpff,
+};
 
 /// A rigid transform: rotation (unit Hamilton quaternion, stored x y z w) and translation in metres.
 pub type Rigid = nalgebra::Isometry3<f64>;
