@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use vergence_geom::{Rigid, View};
 use vergence_time::{Span, Timestamp};
 
+use crate::fault::FaultPlan;
 use crate::headset::Profile;
 use crate::motion::{Hand, PoseProvider, Still};
 
@@ -38,6 +39,8 @@ pub struct Config {
     pub render: bool,
     /// A hand on the headset, for whoever embeds the runtime.
     pub control: Control,
+    /// What the runtime does wrong.
+    pub faults: FaultPlan,
 }
 
 impl Default for Config {
@@ -51,6 +54,7 @@ impl Default for Config {
             capture: None,
             render: true,
             control: Control::default(),
+            faults: FaultPlan::default(),
         }
     }
 }

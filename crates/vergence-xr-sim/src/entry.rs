@@ -1,5 +1,5 @@
 //! `xrGetInstanceProcAddr`: every entry point by its name. Each looks its arguments up, runs inside [`guard`], and
-//! nothing else; this table is also the one place where a fault could be put in front of a call.
+//! nothing else; that is also where a planned fault comes in front of a call.
 
 use std::ffi::c_char;
 
@@ -45,6 +45,9 @@ macro_rules! argument {
     (value $x:ident) => {
         $x
     };
+    (handle $x:ident) => {
+        $x
+    };
     (instance $x:ident) => {
         &*instance::get($x)?
     };
@@ -71,11 +74,34 @@ macro_rules! argument {
     };
 }
 
+/// The handle that a call is about, from the first of its arguments; 0 where that is no handle.
+macro_rules! first_handle {
+    (output $x:ident $($rest:tt)*) => {
+        0
+    };
+    (input $x:ident $($rest:tt)*) => {
+        0
+    };
+    (value $x:ident $($rest:tt)*) => {
+        0
+    };
+    () => {
+        0
+    };
+    ($kind:ident $x:ident $($rest:tt)*) => {
+        sys::Handle::into_raw($x)
+    };
+}
+
 macro_rules! entry_points {
     ($(
         $when:expr, $pfn:ident $name:literal =>
         $function:path { $($kind:ident $x:ident : $ty:ty),* $(; buffer $capacity:ident $count:ident $items:ident : $item:ty)? }
     )+) => {
+        /// Every entry point, and whether it fills an array by the two-call idiom.
+        pub(crate) const NAMES: &[(&str, bool)] =
+            &[$(($name, false $(|| !stringify!($count).is_empty())?)),+];
+
         fn find(name: &str) -> Option<(When, pfn::VoidFunction)> {
             match name {
                 $($name => {
@@ -83,7 +109,7 @@ macro_rules! entry_points {
                         $($x: $ty,)* $($capacity: u32, $count: *mut u32, $items: *mut $item)?
                     ) -> sys::Result {
                         #[allow(clippy::undocumented_unsafe_blocks, reason = "stated once, at `argument`")]
-                        guard($name, || $function(
+                        guard($name, first_handle!($($kind $x)*), || $function(
                             $(argument!($kind $x),)*
                             // SAFETY: as for `argument!(output …)`: `items` holds `capacity` of them or is null.
                             $(unsafe { Buffer::new($capacity, $count, $items) })?
@@ -101,14 +127,14 @@ macro_rules! entry_points {
 
 entry_points! {
     When::Always, GetInstanceProcAddr "xrGetInstanceProcAddr" =>
-        resolve { value instance: sys::Instance, value name: *const c_char, output function: *mut Option<pfn::VoidFunction> }
+        resolve { handle instance: sys::Instance, value name: *const c_char, output function: *mut Option<pfn::VoidFunction> }
     When::Always, EnumerateApiLayerProperties "xrEnumerateApiLayerProperties" =>
         instance::enumerate_api_layer_properties { ; buffer capacity count properties: sys::ApiLayerProperties }
     When::Always, EnumerateInstanceExtensionProperties "xrEnumerateInstanceExtensionProperties" =>
         instance::enumerate_instance_extension_properties { value layer: *const c_char; buffer capacity count properties: sys::ExtensionProperties }
     When::Always, CreateInstance "xrCreateInstance" =>
         instance::create_instance { input info: *const sys::InstanceCreateInfo, output out: *mut sys::Instance }
-    When::Core, DestroyInstance "xrDestroyInstance" => instance::destroy_instance { value instance: sys::Instance }
+    When::Core, DestroyInstance "xrDestroyInstance" => instance::destroy_instance { handle instance: sys::Instance }
     When::Core, ResultToString "xrResultToString" =>
         instance::result_to_string { any_instance instance: sys::Instance, value value: sys::Result, text64 out: *mut c_char }
     When::Core, StructureTypeToString "xrStructureTypeToString" =>
@@ -146,7 +172,7 @@ entry_points! {
         }
     When::Core, CreateSession "xrCreateSession" =>
         session::create_session { shared_instance instance: sys::Instance, input info: *const sys::SessionCreateInfo, output out: *mut sys::Session }
-    When::Core, DestroySession "xrDestroySession" => session::destroy_session { value session: sys::Session }
+    When::Core, DestroySession "xrDestroySession" => session::destroy_session { handle session: sys::Session }
     When::Core, BeginSession "xrBeginSession" =>
         session::begin_session { session session: sys::Session, input info: *const sys::SessionBeginInfo }
     When::Core, EndSession "xrEndSession" => session::end_session { session session: sys::Session }
@@ -180,14 +206,14 @@ entry_points! {
         space::locate_space {
             space space: sys::Space, space base: sys::Space, value time: sys::Time, output out: *mut sys::SpaceLocation
         }
-    When::Core, DestroySpace "xrDestroySpace" => space::destroy_space { value space: sys::Space }
+    When::Core, DestroySpace "xrDestroySpace" => space::destroy_space { handle space: sys::Space }
     When::Core, EnumerateSwapchainFormats "xrEnumerateSwapchainFormats" =>
         swapchain::enumerate_swapchain_formats { session session: sys::Session; buffer capacity count formats: i64 }
     When::Core, CreateSwapchain "xrCreateSwapchain" =>
         swapchain::create_swapchain {
             shared_session session: sys::Session, input info: *const sys::SwapchainCreateInfo, output out: *mut sys::Swapchain
         }
-    When::Core, DestroySwapchain "xrDestroySwapchain" => swapchain::destroy_swapchain { value swapchain: sys::Swapchain }
+    When::Core, DestroySwapchain "xrDestroySwapchain" => swapchain::destroy_swapchain { handle swapchain: sys::Swapchain }
     When::Core, EnumerateSwapchainImages "xrEnumerateSwapchainImages" =>
         swapchain_images { swapchain swapchain: sys::Swapchain; buffer capacity count images: sys::SwapchainImageBaseHeader }
     When::Core, AcquireSwapchainImage "xrAcquireSwapchainImage" =>
@@ -202,10 +228,10 @@ entry_points! {
         action::create_action_set {
             shared_instance instance: sys::Instance, input info: *const sys::ActionSetCreateInfo, output out: *mut sys::ActionSet
         }
-    When::Core, DestroyActionSet "xrDestroyActionSet" => action::destroy_action_set { value set: sys::ActionSet }
+    When::Core, DestroyActionSet "xrDestroyActionSet" => action::destroy_action_set { handle set: sys::ActionSet }
     When::Core, CreateAction "xrCreateAction" =>
         action::create_action { action_set set: sys::ActionSet, input info: *const sys::ActionCreateInfo, output out: *mut sys::Action }
-    When::Core, DestroyAction "xrDestroyAction" => action::destroy_action { value action: sys::Action }
+    When::Core, DestroyAction "xrDestroyAction" => action::destroy_action { handle action: sys::Action }
     When::Core, SuggestInteractionProfileBindings "xrSuggestInteractionProfileBindings" =>
         binding::suggest_interaction_profile_bindings {
             instance instance: sys::Instance, input info: *const sys::InteractionProfileSuggestedBinding
@@ -352,5 +378,5 @@ pub unsafe extern "system" fn get_instance_proc_addr(
 ) -> sys::Result {
     // SAFETY: demanded of the caller.
     let out = unsafe { Out::new(function) };
-    guard("xrGetInstanceProcAddr", || resolve(instance, name, out))
+    guard("xrGetInstanceProcAddr", sys::Handle::into_raw(instance), || resolve(instance, name, out))
 }

@@ -48,4 +48,14 @@ pub enum Error {
         /// What is there.
         found: String,
     },
+    /// A fault that the runtime cannot show.
+    #[error("fault \"{text}\": expected {expected}, found {found}")]
+    Fault {
+        /// What was asked for.
+        text: String,
+        /// What there is.
+        expected: String,
+        /// What is there instead.
+        found: String,
+    },
 }

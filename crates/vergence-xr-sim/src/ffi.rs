@@ -8,13 +8,29 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use openxr_sys as sys;
 
+use crate::fault::{self, Active, Effect};
+
 /// What a function of the runtime returns: a success code or an error code of OpenXR.
 pub(crate) type XrResult<T = sys::Result> = Result<T, sys::Result>;
 
-/// Runs a function of the runtime; a panic inside is caught and becomes `XR_ERROR_RUNTIME_FAILURE`.
-pub(crate) fn guard(name: &str, call: impl FnOnce() -> XrResult) -> sys::Result {
+/// Runs a function of the runtime, or the fault that is planned for this call; a panic inside is caught and becomes
+/// `XR_ERROR_RUNTIME_FAILURE`. `of` is the handle that is the first argument, 0 where there is none.
+pub(crate) fn guard(name: &'static str, of: u64, call: impl FnOnce() -> XrResult) -> sys::Result {
+    let effect = fault::effect(name, of);
+    if let Some(code) = effect.and_then(Effect::replaces_call) {
+        return code;
+    }
+    let _active = match effect {
+        Some(Effect::Bad(value)) => Some(Active::new(value)),
+        Some(Effect::Hang) => fault::hang(name),
+        Some(Effect::Code(_)) | None => None,
+    };
     match catch_unwind(AssertUnwindSafe(call)) {
-        Ok(Ok(code)) => code,
+        Ok(Ok(code)) => match effect {
+            // The rest of what a planned code can be: a qualified success.
+            Some(Effect::Code(qualified)) => qualified,
+            _ => code,
+        },
         Ok(Err(code)) => {
             log::debug!("{name}: {code:?}");
             code
@@ -198,17 +214,23 @@ impl<'a, T> Buffer<'a, T> {
         Buffer { capacity: self.capacity, count: self.count, items: self.items.cast() }
     }
 
-    /// Says how many there are and, where the application asked for them, how much of the array may be written.
-    fn room(&mut self, found: usize) -> XrResult<bool> {
+    /// Says how many there are and, where the application asked for them, how many of them may be written.
+    fn room(&mut self, found: usize) -> XrResult<Option<usize>> {
         let found = u32::try_from(found).map_err(|_| sys::Result::ERROR_RUNTIME_FAILURE)?;
-        self.count.set(found)?;
+        let said = fault::bent_count(found);
+        self.count.set(said)?;
         if self.capacity == 0 {
-            return Ok(false);
+            return Ok(None);
         }
         if self.items.is_null() || !self.items.is_aligned() {
             return Err(sys::Result::ERROR_VALIDATION_FAILURE);
         }
-        if self.capacity < found { Err(sys::Result::ERROR_SIZE_INSUFFICIENT) } else { Ok(true) }
+        if self.capacity < said {
+            return Err(sys::Result::ERROR_SIZE_INSUFFICIENT);
+        }
+        // Never more is said than is written.
+        self.count.set(said.min(found))?;
+        Ok(Some(said.min(found) as usize))
     }
 
     /// Gives plain items.
@@ -216,10 +238,10 @@ impl<'a, T> Buffer<'a, T> {
     where
         T: Copy,
     {
-        if self.room(found.len())? {
-            // SAFETY: `room` found an aligned array with space for all; `new` demands that it is lent to us, and
-            // the runtime's own slice cannot lie in it.
-            unsafe { std::ptr::copy_nonoverlapping(found.as_ptr(), self.items, found.len()) };
+        if let Some(count) = self.room(found.len())? {
+            // SAFETY: `room` found an aligned array with space for so many, and there are as many; `new` demands that it
+            // is lent to us, and the runtime's own slice cannot lie in it.
+            unsafe { std::ptr::copy_nonoverlapping(found.as_ptr(), self.items, count) };
         }
         Ok(sys::Result::SUCCESS)
     }
@@ -229,9 +251,9 @@ impl<'a, T> Buffer<'a, T> {
     where
         T: Typed,
     {
-        if self.room(found)? {
-            for index in 0..found {
-                // SAFETY: `room` found an array with space for all, lent to us (`new`).
+        if let Some(count) = self.room(found)? {
+            for index in 0..count {
+                // SAFETY: `room` found an array with space for so many, lent to us (`new`).
                 let mut place = unsafe { Out::new(self.items.add(index)) };
                 fill(index, place.fill()?);
             }

@@ -7,6 +7,7 @@ use vergence_time::{Span, Timestamp};
 
 use crate::clock::valid_time;
 use crate::config::ClockMode;
+use crate::fault::bent_time;
 use crate::ffi::{In, Out, XrResult};
 use crate::headset::Profile;
 use crate::layer::{self, Layer};
@@ -98,6 +99,7 @@ pub(crate) fn wait_frame(
     inner.frames.waited = Some(Frame { should_render });
     check_running(&inner)?;
     drop(inner);
+    let (display, period) = bent_time(display, period);
     let state = out.fill()?;
     state.predicted_display_time = sys::Time::from_nanos(display.as_nanos());
     state.predicted_display_period = sys::Duration::from_nanos(period.as_nanos());

@@ -61,6 +61,20 @@ pub(crate) fn get<T: Object>(handle: T::Handle) -> XrResult<Arc<T>> {
     slot.object.clone().and_then(|object| object.downcast::<T>().ok()).ok_or(invalid)
 }
 
+/// The object at the root of what `handle` belongs to: what was made with no parent. `None` where the handle is invalid.
+pub(crate) fn root<T: Object>(handle: u64) -> Option<Arc<T>> {
+    let slots = SLOTS.read().unwrap_or_else(PoisonError::into_inner);
+    let slot_of = |handle: u64| {
+        let (index, generation) = split(handle)?;
+        slots.get(index).filter(|slot| slot.generation == generation)
+    };
+    let mut slot = slot_of(handle)?;
+    while slot.parent != 0 {
+        slot = slot_of(slot.parent)?;
+    }
+    slot.object.clone()?.downcast::<T>().ok()
+}
+
 /// Destroys the object behind a handle and everything that was made from it.
 ///
 /// # Errors

@@ -12,6 +12,7 @@ mod entry;
 mod error;
 mod event;
 mod extension;
+pub mod fault;
 mod ffi;
 mod frame;
 mod graphics;
@@ -38,5 +39,6 @@ pub use config::{
 };
 pub use entry::get_instance_proc_addr;
 pub use error::Error;
+pub use fault::{Fault, FaultPlan};
 pub use headset::Profile;
 pub use motion::{Controller, Hand, Motion, PoseProvider, Still, Tracked};

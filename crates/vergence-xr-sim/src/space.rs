@@ -9,6 +9,7 @@ use vergence_time::{Span, Timestamp};
 
 use crate::action::Action;
 use crate::clock::valid_time;
+use crate::fault::bent_pose;
 use crate::ffi::{Buffer, In, Out, XrResult, array, chained_out};
 use crate::handle::{self, Object};
 use crate::motion::Tracked;
@@ -206,7 +207,7 @@ pub(crate) fn locate_space(
     let at = valid_time(time)?;
     let (pose, flags) = locate(space, base, at);
     location.location_flags = flags;
-    location.pose = pose.map_or(sys::Posef::IDENTITY, |pose| to_xr(&pose));
+    location.pose = bent_pose(pose.map_or(sys::Posef::IDENTITY, |pose| to_xr(&pose)));
     if let Some(out) = chained_out::<sys::SpaceVelocity>(location.next) {
         let found = velocity(space, base, at);
         out.velocity_flags = found.map_or(sys::SpaceVelocityFlags::EMPTY, |_| velocity_flags());
@@ -247,7 +248,7 @@ pub(crate) fn locate_spaces(
     for (index, space) in spaces.iter().enumerate() {
         check_session(space, &base)?;
         let (pose, location_flags) = locate(space, &base, at);
-        let pose = pose.map_or(sys::Posef::IDENTITY, |pose| to_xr(&pose));
+        let pose = bent_pose(pose.map_or(sys::Posef::IDENTITY, |pose| to_xr(&pose)));
         // SAFETY: the application lends room for `location_count` elements, which equals the number of spaces.
         unsafe { locations.locations.add(index).write(sys::SpaceLocationData { location_flags, pose }) };
         if let Some(velocities) = &mut velocities {

@@ -3,6 +3,7 @@
 use openxr_sys as sys;
 
 use crate::clock::valid_time;
+use crate::fault::{bent_fov, bent_pose};
 use crate::ffi::{Buffer, In, Out, XrResult};
 use crate::pose::{fov_to_xr, to_xr};
 use crate::session::Session;
@@ -38,9 +39,10 @@ pub(crate) fn locate_views(
     let eyes = &session.instance.config.profile.eyes;
     buffer.give_typed(eyes.len(), |index, view| {
         let eye = &eyes[index];
-        view.pose = base_from_head
+        let pose = base_from_head
             .map_or(sys::Posef::IDENTITY, |base_from_head| to_xr(&(base_from_head * eye.head_from_eye)));
-        view.fov = fov_to_xr(&eye.fov);
+        view.pose = bent_pose(pose);
+        view.fov = bent_fov(fov_to_xr(&eye.fov));
     })
 }
 
