@@ -69,6 +69,8 @@ pub struct RunConfig {
     pub validation: bool,
     /// A hand on the simulated headset, for tests: recentring, taking it off, losing the session.
     pub control: vergence_xr_sim::Control,
+    /// What the simulated headset does wrong. Only there.
+    pub faults: vergence_xr_sim::FaultPlan,
 }
 
 impl Default for RunConfig {
@@ -93,6 +95,7 @@ impl Default for RunConfig {
             refresh_rate_hz: None,
             validation: false,
             control: vergence_xr_sim::Control::default(),
+            faults: vergence_xr_sim::FaultPlan::default(),
         }
     }
 }

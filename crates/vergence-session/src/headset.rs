@@ -107,6 +107,7 @@ fn simulated(
         capture: capture.map(Capture::of_composed_pictures),
         render: true,
         control: config.control.clone(),
+        faults: config.faults.clone(),
     });
     let connection = Connection::open(Way::Embedded(embedded()), APP_NAME, &plan.extensions)?;
     Ok(Chosen { connection: Arc::new(connection), is_simulated: true, why })

@@ -38,3 +38,4 @@ pub use error::Error;
 pub use place::start_of;
 pub use report::{Milliseconds, PassReport, RunReport, Touch};
 pub use run::{Happening, run};
+pub use vergence_xr_sim::{Fault, FaultPlan};

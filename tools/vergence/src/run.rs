@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use vergence_session::{CaptureConfig, Happening, HeadsetChoice, RunConfig};
+use vergence_session::{CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RunConfig};
 
 use crate::failure::Failure;
 use crate::loading;
@@ -31,6 +31,9 @@ pub struct Args {
     /// Simulated headset: distance between the eyes [default: the profile's]
     #[arg(long, value_name = "MM")]
     ipd: Option<f64>,
+    /// Simulated headset: what its runtime does wrong, as in xrWaitFrame=ERROR_SESSION_LOST@100, also @100-120 or @100+
+    #[arg(long, value_name = "FUNCTION=CODE[@CALL]")]
+    fault: Vec<String>,
     /// Simulated headset: keeps to the wall clock instead of running as fast as it can
     #[arg(long)]
     real_time: bool,
@@ -136,7 +139,10 @@ impl Args {
             quality.normal_maps = knobs.normal_maps.unwrap_or(quality.normal_maps);
         }
         quality.msaa = self.msaa.unwrap_or(quality.msaa);
+        let faults = self.fault.iter().map(|text| Fault::parse(text)).collect::<Result<Vec<_>, _>>();
+        let faults = faults.map_err(|error| Failure::call(&error))?;
         Ok(RunConfig {
+            faults: if faults.is_empty() { FaultPlan::default() } else { FaultPlan::new(faults) },
             headset: match self.headset {
                 Headset::Auto => HeadsetChoice::Auto,
                 Headset::Openxr => HeadsetChoice::OpenXr,
