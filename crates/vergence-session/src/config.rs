@@ -31,7 +31,7 @@ pub struct RunConfig {
     pub headset: HeadsetChoice,
     /// Of the simulated headset: a built-in profile or a file; `None`: the default one.
     pub profile: Option<String>,
-    /// Of the simulated headset: `still`, a built-in motion or a file; `None`: still.
+    /// Of the simulated headset: `still`, a built-in motion or script, or a file; `None`: still.
     pub motion: Option<String>,
     /// Of the simulated headset: distance between the eyes, metres; `None`: as the profile says.
     pub ipd_m: Option<f64>,

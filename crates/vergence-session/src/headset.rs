@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use vergence_plan::Plan;
 use vergence_xr::{Connection, EmbeddedRuntime, State, Way};
-use vergence_xr_sim::{ClockMode, Config, Motion, PoseProvider, Profile, Runtime, Still};
+use vergence_xr_sim::{ClockMode, Config, PoseProvider, Profile, Runtime, motion};
 
 use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
@@ -96,8 +96,7 @@ fn simulated(
     }
     let motion: Box<dyn PoseProvider> = match (config.motion.as_deref(), by_hand) {
         (None, Some(by_hand)) => Box::new(by_hand),
-        (None | Some("still"), _) => Box::new(Still::default()),
-        (Some(name), _) => Box::new(Motion::open(name)?),
+        (name, _) => motion::open(name.unwrap_or("still"))?,
     };
     Runtime::configure(Config {
         profile,

@@ -10,7 +10,7 @@ use vergence_time::{Span, Timestamp};
 
 use crate::fault::FaultPlan;
 use crate::headset::Profile;
-use crate::motion::{Hand, PoseProvider, Still};
+use crate::motion::{Hand, PoseProvider, Presence, Still};
 
 /// How time passes for the session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -129,18 +129,6 @@ pub struct ComposedEye {
     pub view_in_local: View,
     /// RGBA, 8 bits each, sRGB encoded, rows from the top.
     pub rgba: Vec<u8>,
-}
-
-/// Whether somebody wears the headset.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Presence {
-    /// The application has the user's attention.
-    #[default]
-    Focused,
-    /// The application is seen, but a menu of the system has the input.
-    Visible,
-    /// The headset is off the head: the session stops, and is ready again when it is put on.
-    Away,
 }
 
 /// A vibration that an application asked for, or its end.

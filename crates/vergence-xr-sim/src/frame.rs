@@ -25,6 +25,8 @@ pub(crate) struct Frames {
     waited: Option<Frame>,
     /// Begun, not ended.
     begun: Option<Frame>,
+    /// When the frame that was begun last is displayed: the instant whose input the application gets.
+    pub(crate) input_time: Option<Timestamp>,
     /// When the last frame was predicted to be displayed.
     last_display: Option<Timestamp>,
     /// Frames that were ended after `shouldRender`.
@@ -35,6 +37,7 @@ pub(crate) struct Frames {
 
 #[derive(Clone, Copy)]
 struct Frame {
+    display: Timestamp,
     should_render: bool,
 }
 
@@ -55,7 +58,8 @@ fn predict(session: &Session, inner: &SessionState) -> (Timestamp, Span) {
     let now = session.instance.clock.now();
     let next = inner.frames.last_display.unwrap_or(now).saturating_add(period);
     if session.instance.clock.mode() == ClockMode::Virtual {
-        return (next, period);
+        // Later only where time passed between two runs of the session.
+        return (next.max(now.saturating_add(period)), period);
     }
     // Late: the first display instant that still leaves a whole period.
     let late = now.saturating_add(period).since(next).map_or(0, Span::as_nanos);
@@ -94,9 +98,13 @@ pub(crate) fn wait_frame(
     session.instance.clock.sleep_until(wake);
 
     let mut inner = session.lock();
-    let should_render = inner.is_visible() && session.instance.config.render && session.graphics.is_some();
+    let config = &session.instance.config;
+    let should_render = inner.is_visible()
+        && config.render
+        && session.graphics.is_some()
+        && config.motion.renders(inner.motion_time(display));
     inner.frames.waiting = false;
-    inner.frames.waited = Some(Frame { should_render });
+    inner.frames.waited = Some(Frame { display, should_render });
     check_running(&inner)?;
     drop(inner);
     let (display, period) = bent_time(display, period);
@@ -113,6 +121,7 @@ pub(crate) fn begin_frame(session: &Session, info: In<sys::FrameBeginInfo>) -> X
     check_running(inner)?;
     let frame = inner.frames.waited.take().ok_or(sys::Result::ERROR_CALL_ORDER_INVALID)?;
     session.frame_begun.notify_all();
+    inner.frames.input_time = Some(frame.display);
     let discarded = inner.frames.begun.replace(frame).is_some();
     Ok(if discarded { sys::Result::FRAME_DISCARDED } else { sys::Result::SUCCESS })
 }

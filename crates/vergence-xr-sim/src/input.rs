@@ -117,7 +117,8 @@ pub(crate) fn sync_actions(session: &Session, info: In<sys::ActionsSyncInfo>) ->
     }
     let now = session.instance.clock.now();
     let inner = &mut *session.lock();
-    let motion_time = inner.motion_time(now);
+    // Not "now": between two frames that is anybody's guess, and what is read would not be the same twice.
+    let motion_time = inner.motion_time(inner.frames.input_time.unwrap_or(now));
     let focused = inner.is_focused();
     let controllers = HANDS.map(|hand| session.instance.config.motion.controller(hand, motion_time));
     if focused {

@@ -34,11 +34,9 @@ mod system;
 mod view;
 mod vulkan;
 
-pub use config::{
-    Capture, ClockMode, ComposedEye, ComposedFrame, Config, Control, Haptic, Presence, Runtime,
-};
+pub use config::{Capture, ClockMode, ComposedEye, ComposedFrame, Config, Control, Haptic, Runtime};
 pub use entry::get_instance_proc_addr;
 pub use error::Error;
 pub use fault::{Fault, FaultPlan};
 pub use headset::Profile;
-pub use motion::{Controller, Hand, Motion, PoseProvider, Still, Tracked};
+pub use motion::{Controller, Hand, Motion, PoseProvider, Presence, Script, Still, Tracked};

@@ -7,7 +7,7 @@ use openxr_sys as sys;
 use vergence_geom::Rigid;
 use vergence_time::{Span, Timestamp};
 
-use crate::config::{Command, Presence};
+use crate::config::{ClockMode, Command};
 use crate::event::Event;
 use crate::extension::Extension;
 use crate::ffi::{In, Out, XrResult};
@@ -17,7 +17,7 @@ use crate::handle::{self, Object};
 use crate::headset::Profile;
 use crate::input::Input;
 use crate::instance::Instance;
-use crate::motion::{Tracked, yaw_of};
+use crate::motion::{Presence, Tracked, yaw_of};
 use crate::system::{check_system, check_view_configuration};
 
 pub(crate) struct Session {
@@ -37,6 +37,8 @@ pub(crate) struct SessionState {
     exiting: bool,
     lost: bool,
     presence: Presence,
+    /// Recentrings of the motion that were followed.
+    recentrings: u64,
     /// When the session began for the first time: motion time 0.
     begun_at: Option<Timestamp>,
     pub frames: Frames,
@@ -98,14 +100,24 @@ impl Session {
     /// One step towards what the user's attention allows: called at the end of each frame.
     pub(crate) fn step(&self, inner: &mut SessionState) {
         use sys::SessionState as S;
-        let next = match (inner.state, inner.presence) {
+        let next = match (inner.state, self.presence(inner)) {
             (S::READY, _) => S::SYNCHRONIZED,
             (S::SYNCHRONIZED, Presence::Focused | Presence::Visible) => S::VISIBLE,
             (S::VISIBLE, Presence::Focused) => S::FOCUSED,
-            (S::FOCUSED, Presence::Visible) => S::VISIBLE,
+            (S::VISIBLE, Presence::Hidden) => S::SYNCHRONIZED,
+            (S::FOCUSED, Presence::Visible | Presence::Hidden) => S::VISIBLE,
             _ => return,
         };
         self.enter(inner, next);
+    }
+
+    /// The user's attention now: what the motion says, less what the embedding program takes away.
+    fn presence(&self, inner: &SessionState) -> Presence {
+        if inner.begun_at.is_none() {
+            return inner.presence;
+        }
+        let now = inner.motion_time(self.instance.clock.now());
+        inner.presence.min(self.instance.config.motion.presence(now))
     }
 
     /// The runtime itself asks the application to end.
@@ -128,13 +140,26 @@ impl Session {
             inner.stage_from_local = stage_from_local;
             inner.pending_local = None;
         }
-        let worn = inner.presence != Presence::Away
-            && (inner.begun_at.is_none()
-                || self.instance.config.motion.worn(inner.motion_time(self.instance.clock.now())));
-        if !worn {
+        let recentrings =
+            self.instance.config.motion.recentrings(inner.motion_time(self.instance.clock.now()));
+        if inner.begun_at.is_some() && recentrings > std::mem::replace(&mut inner.recentrings, recentrings) {
+            self.recentre(inner);
+        }
+        if self.presence(inner) == Presence::Away {
+            self.pass_idle_time(inner);
             self.stop(inner);
         } else if inner.state == sys::SessionState::IDLE && !inner.exiting {
             self.enter(inner, sys::SessionState::READY);
+        }
+    }
+
+    /// Nothing paces a session that stands, so on the virtual clock each question what is new takes as long as a frame: a
+    /// motion that takes the headset off can put it on again.
+    fn pass_idle_time(&self, inner: &SessionState) {
+        let clock = &self.instance.clock;
+        let awaits_motion = inner.presence != Presence::Away && inner.state == sys::SessionState::IDLE;
+        if awaits_motion && clock.mode() == ClockMode::Virtual {
+            clock.sleep_until(clock.now().saturating_add(Profile::period(inner.rate_hz)));
         }
     }
 
@@ -245,6 +270,7 @@ pub(crate) fn create_session(
             exiting: false,
             lost: false,
             presence: Presence::default(),
+            recentrings: 0,
             begun_at: None,
             frames: Frames::default(),
             rate_hz,

@@ -121,9 +121,9 @@ fn states_come_from_the_pose_provider() {
         client.session.sync_actions(&[xr::ActiveActionSet::new(&set)]).unwrap();
         let state = pull.state(&client.session, xr::Path::NULL).unwrap();
         assert!(state.is_active);
-        // Actions are as of the synchronization, which is one period before the display.
-        let now = (time.as_nanos() - 11_111_111 - 1_000_000_000) as f64 * 1e-9;
-        assert_eq!(state.current_state, (4.0 * now).min(1.0) as f32, "{frame}");
+        // Actions are as of the display of the frame that was begun.
+        let shown = (time.as_nanos() - 1_000_000_000) as f64 * 1e-9;
+        assert_eq!(state.current_state, (4.0 * shown).min(1.0) as f32, "{frame}");
         let pressed = grab.state(&client.session, right).unwrap();
         assert_eq!(pressed.current_state, state.current_state >= 0.5);
         if pressed.changed_since_last_sync {
@@ -133,12 +133,11 @@ fn states_come_from_the_pose_provider() {
         let stick = walk.state(&client.session, xr::Path::NULL).unwrap().current_state;
         assert_eq!((stick.x, stick.y), (0.25, -0.5));
         let location = space.locate(&stage, time).unwrap();
-        let shown = (time.as_nanos() - 1_000_000_000) as f64 * 1e-9;
         assert!(location.location_flags.contains(xr::SpaceLocationFlags::POSITION_TRACKED));
         assert!((f64::from(location.pose.position.y) - (1.0 + shown)).abs() < 1e-6);
     }
-    // 4 t reaches one half at 125 ms: frame 12 begins at 133 ms.
-    assert_eq!(clicks, [(12, true)]);
+    // 4 t reaches one half at 125 ms: frame 11 is shown at 133 ms.
+    assert_eq!(clicks, [(11, true)]);
     assert_eq!(client.session.current_interaction_profile(right).unwrap(), client.path(TOUCH));
     assert_eq!(client.session.current_interaction_profile(left).unwrap(), xr::Path::NULL);
 

@@ -199,6 +199,72 @@ fn a_headset_that_is_taken_off_stops_the_session_and_readies_it_when_put_on() {
     client.frame();
 }
 
+/// A script takes the headset off and puts it on again, on a clock that nothing but frames and questions moves.
+#[test]
+fn a_script_hides_takes_off_puts_on_and_recentres() {
+    let text = r#"
+        at-end = "stop"
+        duration = "0.5 s"
+        [[head]]
+        time = "0 s"
+        position = ["1 m", "1.5 m", "0 m"]
+        [[headset]]
+        time = "0.1 s"
+        presence = "hidden"
+        [[headset]]
+        time = "0.2 s"
+        presence = "away"
+        [[headset]]
+        time = "0.3 s"
+        presence = "focused"
+        recentre = true
+    "#;
+    let script = vergence_xr_sim::Script::parse("script.toml".as_ref(), text).unwrap();
+    let mut client = Client::begun(Config { motion: Box::new(script), ..Config::default() });
+    let [local, stage] =
+        [xr::ReferenceSpaceType::LOCAL, xr::ReferenceSpaceType::STAGE].map(|ty| client.space(ty));
+    let mut frames = 0;
+    for _ in 0..1000 {
+        client.poll();
+        match client.states.last().copied() {
+            Some(S::EXITING) => break,
+            Some(S::STOPPING) => drop(client.session.end().unwrap()),
+            Some(S::READY) => {
+                let at = xr::Time::from_nanos(1_300_000_000);
+                assert_eq!(stage.locate(&local, at).unwrap().pose.position.y, -1.5);
+                client.session.begin(STEREO).unwrap();
+            }
+            Some(S::IDLE) => {}
+            _ => {
+                client.frame();
+                frames += 1;
+            }
+        }
+    }
+    let all = &client.states;
+    assert_eq!(
+        all[5..],
+        [
+            S::VISIBLE,
+            S::SYNCHRONIZED,
+            S::STOPPING,
+            S::IDLE,
+            S::READY,
+            S::SYNCHRONIZED,
+            S::VISIBLE,
+            S::FOCUSED,
+            S::VISIBLE,
+            S::SYNCHRONIZED,
+            S::STOPPING,
+            S::IDLE,
+            S::EXITING,
+        ],
+        "{all:?}"
+    );
+    // At 90 Hz: 0.2 s before, 0.2 s after.
+    assert!((34..=38).contains(&frames), "{frames}");
+}
+
 #[test]
 fn frames_follow_one_another_in_order() {
     let mut client = Client::begun(Config::default());

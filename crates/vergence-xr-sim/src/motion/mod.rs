@@ -1,25 +1,72 @@
 //! What moves the simulated headset: pose providers, pure functions of time.
 
 mod file;
+mod script;
 mod still;
+mod track;
 mod trajectory;
 mod tum;
+
+use std::path::Path;
 
 use vergence_geom::Rigid;
 use vergence_time::Timestamp;
 
+use crate::Error;
+
 pub use file::{BUILT_IN_MOTIONS, Motion};
+pub use script::Script;
 pub use still::Still;
 pub use trajectory::{AtEnd, Gaps, Sample, Trajectory};
 pub use tum::{parse_tum, read_tum};
+pub use vergence_sense::Hand;
 
-/// Which hand holds a controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Hand {
-    /// The left one: `/user/hand/left`.
-    Left,
-    /// The right one: `/user/hand/right`.
-    Right,
+/// The scripts that come with the crate, by name: each is also a file under `motions/`.
+pub const BUILT_IN_SCRIPTS: [(&str, &str); 1] = [("tour.toml", include_str!("../../motions/tour.toml"))];
+
+/// What moves the headset, by name: `still`, a motion file or a script, be it a file or one that comes with the crate.
+///
+/// # Errors
+/// Where there is neither, or as [`Motion::parse`] and [`Script::parse`].
+pub fn open(name: &str) -> Result<Box<dyn PoseProvider>, Error> {
+    /// A file with a trajectory is a motion.
+    #[derive(serde::Deserialize)]
+    struct Kind {
+        #[serde(default)]
+        trajectory: Option<serde::de::IgnoredAny>,
+    }
+    let path = Path::new(name);
+    let is_file = path.is_file();
+    if name == "still" && !is_file {
+        return Ok(Box::new(Still::default()));
+    }
+    let built_in = BUILT_IN_SCRIPTS
+        .iter()
+        .find(|(built_in, _)| !is_file && path.file_name().is_some_and(|file| file == *built_in));
+    if let Some((built_in, text)) = built_in {
+        return Ok(Box::new(Script::parse(Path::new(built_in), text)?));
+    }
+    if is_file && vergence_config::read::<Kind>(path)?.trajectory.is_none() {
+        let io = |source| vergence_config::Error::Io { path: path.to_owned(), source };
+        let text = std::fs::read_to_string(path).map_err(io)?;
+        return Ok(Box::new(Script::parse(path, &text)?));
+    }
+    Ok(Box::new(Motion::open(name)?))
+}
+
+/// How far the user attends to the application, the least first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Presence {
+    /// The headset is off the head: the session stops, and is ready again when it is put on.
+    Away,
+    /// The headset shows something else: frames are paced, and none is asked for (`shouldRender` is false).
+    Hidden,
+    /// The application is seen, but a menu of the system has the input.
+    Visible,
+    /// The application has the user's attention.
+    #[default]
+    Focused,
 }
 
 /// Where a tracked body is, as far as the tracking knows.
@@ -115,9 +162,19 @@ pub trait PoseProvider: Send + Sync {
     /// What a hand holds.
     fn controller(&self, hand: Hand, at: Timestamp) -> Controller;
 
-    /// Whether the headset is worn; a session is only visible while it is.
-    fn worn(&self, _at: Timestamp) -> bool {
+    /// How far the user attends to the application.
+    fn presence(&self, _at: Timestamp) -> Presence {
+        Presence::Focused
+    }
+
+    /// Whether the application is asked to draw (`shouldRender`) while it is visible.
+    fn renders(&self, _at: Timestamp) -> bool {
         true
+    }
+
+    /// How often the user has recentred the headset from motion time 0 to `at`.
+    fn recentrings(&self, _at: Timestamp) -> u64 {
+        0
     }
 
     /// When the motion is over and the runtime asks the application to end; `None` for a motion without end.
@@ -137,9 +194,13 @@ pub(crate) fn held_in_front(stage_from_head: &Tracked, hand: Hand) -> Controller
         let stage_from_body = Rigid::from_parts(stage_from_head.translation, yaw_of(&stage_from_head));
         stage_from_body * Rigid::translation(0.2 * side, -0.35, -0.4)
     });
-    // On most controllers one points 40° below the tube that the hand closes around.
+    Controller::idle(stage_from_grip, aim_of(&stage_from_grip))
+}
+
+/// Where a controller points that is held so: on most, 40° below the tube that the hand closes around.
+pub(crate) fn aim_of(stage_from_grip: &Tracked) -> Tracked {
     let grip_from_aim = Rigid::rotation(nalgebra::Vector3::new(-40f64.to_radians(), 0.0, 0.0));
-    Controller::idle(stage_from_grip, stage_from_grip.map(|stage_from_grip| stage_from_grip * grip_from_aim))
+    stage_from_grip.map(|stage_from_grip| stage_from_grip * grip_from_aim)
 }
 
 /// The part of a rotation that turns about the vertical: where the −z axis points, seen from above. Where it points

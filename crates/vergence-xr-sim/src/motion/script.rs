@@ -1,0 +1,569 @@
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use vergence_config::{Angle, Duration, Length};
+use vergence_geom::Rigid;
+use vergence_sense::Hand;
+use vergence_time::{Span, Timestamp};
+
+use super::track::Track;
+use super::{AtEnd, Controller, PoseProvider, Presence, Tracked, held_in_front};
+use crate::Error;
+
+/// Times beyond this many seconds are refused: a day.
+const LONGEST_S: f64 = 86_400.0;
+/// Where the eyes of a standing adult are, metres.
+const EYES_M: [f64; 3] = [0.0, 1.6, 0.0];
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+struct Raw {
+    at_end: AtEnd,
+    #[serde(default)]
+    duration: Option<Duration>,
+    #[serde(default)]
+    headset: Vec<RawHeadset>,
+    #[serde(default)]
+    head: Vec<RawHead>,
+    #[serde(default)]
+    left: Vec<RawController>,
+    #[serde(default)]
+    right: Vec<RawController>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+struct RawHeadset {
+    time: Duration,
+    #[serde(default)]
+    presence: Option<Presence>,
+    #[serde(default)]
+    render: Option<bool>,
+    #[serde(default)]
+    recentre: bool,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawHead {
+    time: Duration,
+    #[serde(default)]
+    position: Option<[Length; 3]>,
+    #[serde(default)]
+    turned: Option<RawTurn>,
+    #[serde(default)]
+    tracking: Option<RawTracking>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+struct RawController {
+    time: Duration,
+    #[serde(default)]
+    position: Option<[Length; 3]>,
+    #[serde(default)]
+    turned: Option<RawTurn>,
+    #[serde(default)]
+    aim: Option<RawPose>,
+    #[serde(default)]
+    tracking: Option<RawTracking>,
+    #[serde(default)]
+    connected: Option<bool>,
+    #[serde(default)]
+    trigger: Option<f32>,
+    #[serde(default)]
+    squeeze: Option<f32>,
+    #[serde(default)]
+    stick: Option<[f32; 2]>,
+    #[serde(default)]
+    stick_click: Option<bool>,
+    #[serde(default)]
+    primary: Option<bool>,
+    #[serde(default)]
+    secondary: Option<bool>,
+    #[serde(default)]
+    menu: Option<bool>,
+    #[serde(default)]
+    touched: Option<Vec<RawTouch>>,
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawPose {
+    position: [Length; 3],
+    turned: RawTurn,
+}
+
+/// Turned about the vertical (to the left positive), then up, then to the left shoulder; or by a quaternion.
+#[derive(serde::Deserialize)]
+#[serde(untagged)]
+enum RawTurn {
+    Quaternion([f64; 4]),
+    Angles(RawAngles),
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawAngles {
+    #[serde(default)]
+    yaw: Option<Angle>,
+    #[serde(default)]
+    pitch: Option<Angle>,
+    #[serde(default)]
+    roll: Option<Angle>,
+}
+
+#[derive(Clone, Copy, Debug, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum RawTracking {
+    Seen,
+    Held,
+    Lost,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum RawTouch {
+    Trigger,
+    Stick,
+    Primary,
+    Secondary,
+}
+
+/// The order of [`Controller::touches`].
+const TOUCHES: [RawTouch; 4] = [RawTouch::Trigger, RawTouch::Stick, RawTouch::Primary, RawTouch::Secondary];
+
+/// A script: what the simulated user does when, in keyframes.
+///
+/// Each value that a keyframe names has a track of its own. Positions, axes and directions go straight from one key to the
+/// next, turns on the shortest way; what is on or off changes at its key. Before its first key a pose is as at that key, and
+/// a control is at rest.
+#[derive(Clone, Debug)]
+pub struct Script {
+    at_end: AtEnd,
+    duration: Span,
+    head: Body,
+    hands: [Held; 2],
+    presence: Track<Presence>,
+    render: Track<bool>,
+    recentrings: Vec<Timestamp>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Body {
+    position: Track<Vector3<f64>>,
+    rotation: Track<UnitQuaternion<f64>>,
+    tracking: Track<RawTracking>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Held {
+    grip: Body,
+    aim: Body,
+    connected: Track<bool>,
+    trigger: Track<f32>,
+    squeeze: Track<f32>,
+    stick: Track<[f32; 2]>,
+    stick_click: Track<bool>,
+    primary: Track<bool>,
+    secondary: Track<bool>,
+    menu: Track<bool>,
+    touches: Track<[bool; 4]>,
+}
+
+impl Script {
+    /// The script that `text`, the content of the file `path`, describes.
+    ///
+    /// # Errors
+    /// Where the text is wrong, times do not rise within a list, or a value is none that a headset can have: the file, the
+    /// list and what was expected are named.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, Error> {
+        let raw: Raw = vergence_config::parse(path, text)?;
+        Reader { path }.script(raw)
+    }
+
+    /// The instant of the script at motion time `at`.
+    fn instant(&self, at: Timestamp) -> Timestamp {
+        let (nanos, duration) = (at.as_nanos(), self.duration.as_nanos());
+        let looped = self.at_end == AtEnd::Loop && nanos > duration && duration > 0;
+        Timestamp::from_nanos(if looped { nanos % duration } else { nanos })
+    }
+}
+
+impl Body {
+    /// `None` where the script says nothing of its place.
+    fn at(&self, at: Timestamp, otherwise: &Rigid) -> Option<Tracked> {
+        if self.position.is_empty() && self.rotation.is_empty() && self.tracking.is_empty() {
+            return None;
+        }
+        let position = self.position.between(at, |a, b, t| a.lerp(b, t));
+        let rotation = self
+            .rotation
+            .between(at, |a, b, t| a.try_slerp(b, t, 1e-9).unwrap_or(if t < 0.5 { *a } else { *b }));
+        let pose = Rigid::from_parts(
+            position.map_or(otherwise.translation, Into::into),
+            rotation.unwrap_or(otherwise.rotation),
+        );
+        Some(match self.tracking.held(at) {
+            None | Some(RawTracking::Seen) => Tracked::Seen(pose),
+            Some(RawTracking::Held) => Tracked::Held(pose),
+            Some(RawTracking::Lost) => Tracked::Lost,
+        })
+    }
+}
+
+impl PoseProvider for Script {
+    fn head(&self, at: Timestamp) -> Tracked {
+        let [x, y, z] = EYES_M;
+        let eyes = Rigid::translation(x, y, z);
+        self.head.at(self.instant(at), &eyes).unwrap_or(Tracked::Seen(eyes))
+    }
+
+    fn controller(&self, hand: Hand, at: Timestamp) -> Controller {
+        let instant = self.instant(at);
+        let held = &self.hands[hand.index()];
+        let on = |track: &Track<bool>| track.held(instant).copied().unwrap_or(false);
+        let pulled =
+            |track: &Track<f32>| track.once_begun(instant, |a, b, t| a + (b - a) * t as f32).unwrap_or(0.0);
+        if held.connected.held(instant) == Some(&false) {
+            return Controller::absent();
+        }
+        let usual = held_in_front(&self.head(at), hand);
+        let grip = match usual.grip.pose() {
+            Some(pose) => held.grip.at(instant, &pose).unwrap_or(usual.grip),
+            None => held.grip.at(instant, &Rigid::identity()).unwrap_or(usual.grip),
+        };
+        let aim = held.aim.at(instant, &Rigid::identity()).unwrap_or_else(|| super::aim_of(&grip));
+        Controller {
+            trigger: pulled(&held.trigger),
+            squeeze: pulled(&held.squeeze),
+            stick: held
+                .stick
+                .once_begun(instant, |a, b, t| [0, 1].map(|i: usize| a[i] + (b[i] - a[i]) * t as f32))
+                .unwrap_or_default(),
+            stick_click: on(&held.stick_click),
+            primary: on(&held.primary),
+            secondary: on(&held.secondary),
+            menu: on(&held.menu),
+            touches: held.touches.held(instant).copied().unwrap_or_default(),
+            ..Controller::idle(grip, aim)
+        }
+    }
+
+    fn presence(&self, at: Timestamp) -> Presence {
+        self.presence.held(self.instant(at)).copied().unwrap_or_default()
+    }
+
+    fn renders(&self, at: Timestamp) -> bool {
+        self.render.held(self.instant(at)).copied().unwrap_or(true)
+    }
+
+    fn recentrings(&self, at: Timestamp) -> u64 {
+        let instant = self.instant(at);
+        let rounds = match (at.as_nanos(), self.duration.as_nanos()) {
+            (nanos, duration) if self.at_end == AtEnd::Loop && duration > 0 && nanos > duration => {
+                nanos / duration
+            }
+            _ => 0,
+        };
+        let so_far = self.recentrings.partition_point(|&time| time <= instant) as u64;
+        so_far + rounds as u64 * self.recentrings.len() as u64
+    }
+
+    fn end(&self) -> Option<Timestamp> {
+        (self.at_end == AtEnd::Stop).then(|| Timestamp::from_nanos(self.duration.as_nanos()))
+    }
+}
+
+/// Resolves raw keyframes, naming the file in errors.
+struct Reader<'a> {
+    path: &'a Path,
+}
+
+impl Reader<'_> {
+    fn wrong(&self, expected: impl Into<String>, found: impl Into<String>) -> Error {
+        Error::Value { path: self.path.to_owned(), expected: expected.into(), found: found.into() }
+    }
+
+    fn script(&self, raw: Raw) -> Result<Script, Error> {
+        let mut script = Script {
+            at_end: raw.at_end,
+            duration: Span::ZERO,
+            head: Body::default(),
+            hands: [Held::default(), Held::default()],
+            presence: Track::default(),
+            render: Track::default(),
+            recentrings: Vec::new(),
+        };
+        let mut last = Timestamp::default();
+        for (at, key) in self.timed("headset", raw.headset, |key| key.time)? {
+            script.presence.extend(at, key.presence);
+            script.render.extend(at, key.render);
+            script.recentrings.extend(key.recentre.then_some(at));
+            last = last.max(at);
+        }
+        for (at, key) in self.timed("head", raw.head, |key| key.time)? {
+            self.place(&mut script.head, at, key.position, key.turned, key.tracking)?;
+            last = last.max(at);
+        }
+        let lists = [("left", raw.left), ("right", raw.right)];
+        for ((list, keys), held) in lists.into_iter().zip(&mut script.hands) {
+            for (at, key) in self.timed(list, keys, |key| key.time)? {
+                self.hold(held, at, key)?;
+                last = last.max(at);
+            }
+        }
+        script.duration = match raw.duration {
+            Some(duration) => {
+                let duration = self.time("duration", duration)?;
+                if duration < last {
+                    return Err(self.wrong(
+                        format!("a duration of at least {} s, the last keyframe", seconds(last)),
+                        format!("{} s", seconds(duration)),
+                    ));
+                }
+                Span::from_nanos(duration.as_nanos())
+            }
+            None => Span::from_nanos(last.as_nanos()),
+        };
+        Ok(script)
+    }
+
+    fn time(&self, list: &str, time: Duration) -> Result<Timestamp, Error> {
+        let found = time.seconds();
+        match Span::from_secs_f64(found).filter(|_| (0.0..=LONGEST_S).contains(&found)) {
+            Some(span) => Ok(Timestamp::from_nanos(span.as_nanos())),
+            None => Err(self.wrong(format!("{list}: a time of 0 to {LONGEST_S} s"), format!("{found} s"))),
+        }
+    }
+
+    /// The keys with their times, which rise.
+    fn timed<K>(
+        &self,
+        list: &str,
+        keys: Vec<K>,
+        time: impl Fn(&K) -> Duration,
+    ) -> Result<Vec<(Timestamp, K)>, Error> {
+        let mut timed: Vec<(Timestamp, K)> = Vec::with_capacity(keys.len());
+        for key in keys {
+            let at = self.time(list, time(&key))?;
+            if let Some((before, _)) = timed.last().filter(|(before, _)| *before >= at) {
+                return Err(self.wrong(
+                    format!("{list}: a time after {} s, the keyframe before", seconds(*before)),
+                    format!("{} s", seconds(at)),
+                ));
+            }
+            timed.push((at, key));
+        }
+        Ok(timed)
+    }
+
+    fn place(
+        &self,
+        body: &mut Body,
+        at: Timestamp,
+        position: Option<[Length; 3]>,
+        turned: Option<RawTurn>,
+        tracking: Option<RawTracking>,
+    ) -> Result<(), Error> {
+        body.position.extend(at, position.map(|p| Vector3::from(p.map(Length::metres))));
+        body.rotation.extend(at, turned.map(|turned| self.turn(&turned)).transpose()?);
+        body.tracking.extend(at, tracking);
+        Ok(())
+    }
+
+    fn turn(&self, turned: &RawTurn) -> Result<UnitQuaternion<f64>, Error> {
+        match turned {
+            RawTurn::Angles(angles) => {
+                let about = |axis, angle: Option<Angle>| {
+                    UnitQuaternion::from_axis_angle(&axis, angle.map_or(0.0, Angle::radians))
+                };
+                Ok(about(Vector3::y_axis(), angles.yaw)
+                    * about(Vector3::x_axis(), angles.pitch)
+                    * about(Vector3::z_axis(), angles.roll))
+            }
+            RawTurn::Quaternion([i, j, k, w]) => {
+                let quaternion = Quaternion::new(*w, *i, *j, *k);
+                // A comparison with NaN is false.
+                if (quaternion.norm() - 1.0).abs() <= 1e-3 {
+                    Ok(UnitQuaternion::new_normalize(quaternion))
+                } else {
+                    Err(self.wrong("turned: a unit quaternion x y z w", format!("{i} {j} {k} {w}")))
+                }
+            }
+        }
+    }
+
+    fn hold(&self, held: &mut Held, at: Timestamp, key: RawController) -> Result<(), Error> {
+        self.place(&mut held.grip, at, key.position, key.turned, key.tracking)?;
+        if let Some(aim) = key.aim {
+            self.place(&mut held.aim, at, Some(aim.position), Some(aim.turned), None)?;
+        }
+        // What is not tracked does not point either.
+        if !held.aim.position.is_empty() {
+            held.aim.tracking.clone_from(&held.grip.tracking);
+        }
+        let within = |name: &str, low: f32, value: Option<f32>| match value {
+            Some(found) if !(low..=1.0).contains(&found) => {
+                Err(self.wrong(format!("{name}: {low} to 1"), found.to_string()))
+            }
+            value => Ok(value),
+        };
+        held.connected.extend(at, key.connected);
+        held.trigger.extend(at, within("trigger", 0.0, key.trigger)?);
+        held.squeeze.extend(at, within("squeeze", 0.0, key.squeeze)?);
+        if let Some(stick) = key.stick {
+            for part in stick {
+                within("stick", -1.0, Some(part))?;
+            }
+            held.stick.extend(at, Some(stick));
+        }
+        held.stick_click.extend(at, key.stick_click);
+        held.primary.extend(at, key.primary);
+        held.secondary.extend(at, key.secondary);
+        held.menu.extend(at, key.menu);
+        held.touches.extend(at, key.touched.map(|touched| TOUCHES.map(|touch| touched.contains(&touch))));
+        Ok(())
+    }
+}
+
+fn seconds(at: Timestamp) -> f64 {
+    Span::from_nanos(at.as_nanos()).as_secs_f64()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: i64) -> Timestamp {
+        Timestamp::from_nanos(millis * 1_000_000)
+    }
+
+    fn script(text: &str) -> Script {
+        Script::parse(Path::new("s.toml"), text).unwrap()
+    }
+
+    #[test]
+    fn the_sample_of_the_crate_is_read() {
+        for (name, text) in super::super::BUILT_IN_SCRIPTS {
+            Script::parse(Path::new(name), text).unwrap();
+        }
+    }
+
+    #[test]
+    fn each_value_has_a_track_of_its_own() {
+        let script = script(
+            r#"
+            at-end = "hold"
+            [[head]]
+            time = "1 s"
+            position = ["0 m", "1.6 m", "0 m"]
+            [[head]]
+            time = "1.5 s"
+            turned = { yaw = "90 deg" }
+            [[head]]
+            time = "2 s"
+            position = ["1 m", "1.6 m", "0 m"]
+            tracking = "held"
+            "#,
+        );
+        for (millis, x) in [(0, 0.0), (1000, 0.0), (1250, 0.25), (1500, 0.5), (1999, 0.999)] {
+            let Tracked::Seen(pose) = script.head(at(millis)) else { panic!("{millis}") };
+            assert!((pose.translation.x - x).abs() < 1e-12, "{millis}");
+            assert!((pose.rotation.angle() - std::f64::consts::FRAC_PI_2).abs() < 1e-12, "{millis}");
+            // To the left: −z becomes −x.
+            assert!((pose.rotation * -Vector3::z() + Vector3::x()).norm() < 1e-12);
+        }
+        assert!(matches!(script.head(at(5000)), Tracked::Held(pose) if pose.translation.x == 1.0));
+    }
+
+    #[test]
+    fn controls_rest_before_their_first_key_and_axes_go_straight() {
+        let script = script(
+            r#"
+            at-end = "hold"
+            [[right]]
+            time = "1 s"
+            trigger = 0.0
+            stick = [-1, 0]
+            primary = true
+            touched = ["trigger", "primary"]
+            [[right]]
+            time = "2 s"
+            trigger = 1.0
+            stick = [1, 1]
+            secondary = true
+            [[right]]
+            time = "3 s"
+            connected = false
+            "#,
+        );
+        let read = |millis| script.controller(Hand::Right, at(millis));
+        assert_eq!((read(999).stick, read(999).primary, read(999).touches), ([0.0; 2], false, [false; 4]));
+        assert_eq!((read(1500).trigger, read(1500).stick), (0.5, [0.0, 0.5]));
+        assert_eq!((read(1500).primary, read(1500).secondary), (true, false));
+        assert_eq!(read(1500).touches, [true, false, true, false]);
+        assert_eq!((read(2500).trigger, read(2500).secondary, read(2999).connected), (1.0, true, true));
+        assert_eq!(read(3000), Controller::absent());
+        assert_eq!(script.controller(Hand::Left, at(1500)).trigger, 0.0);
+        // Where nothing else is said, controllers are held in front of the head.
+        assert_eq!(read(1500).grip, super::super::Still::default().controller(Hand::Right, at(0)).grip);
+    }
+
+    #[test]
+    fn the_headset_goes_off_and_is_recentred() {
+        let text = r#"
+            at-end = "END"
+            duration = "4 s"
+            [[headset]]
+            time = "1 s"
+            presence = "away"
+            recentre = true
+            [[headset]]
+            time = "2 s"
+            presence = "focused"
+            render = false
+            [[headset]]
+            time = "3 s"
+            recentre = true
+            "#;
+        let stop = script(&text.replace("END", "stop"));
+        assert_eq!(
+            [0, 999, 1000, 2000].map(|ms| stop.presence(at(ms))),
+            [Presence::Focused, Presence::Focused, Presence::Away, Presence::Focused]
+        );
+        assert_eq!([1999, 2000, 9000].map(|ms| stop.renders(at(ms))), [true, false, false]);
+        assert_eq!([0, 1000, 2999, 3000, 9000].map(|ms| stop.recentrings(at(ms))), [0, 1, 1, 2, 2]);
+        assert_eq!(stop.end(), Some(at(4000)));
+        let looped = script(&text.replace("END", "loop"));
+        assert_eq!([3500, 4500, 5000, 7000].map(|ms| looped.recentrings(at(ms))), [2, 2, 3, 4]);
+        assert_eq!((looped.presence(at(5000)), looped.end()), (Presence::Away, None));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (text, said) in [
+            ("", "missing field `at-end`"),
+            ("at-end = \"hold\"\n[[head]]\ntime = \"1\"", "s.toml:3"),
+            ("at-end = \"hold\"\n[[head]]\ntime = \"-1 s\"", "head: a time of 0 to 86400 s, found -1 s"),
+            (
+                "at-end = \"hold\"\n[[head]]\ntime = \"1 s\"\n[[head]]\ntime = \"1 s\"",
+                "head: a time after 1 s, the keyframe before, found 1 s",
+            ),
+            ("at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\ntrigger = nan", "trigger: 0 to 1, found NaN"),
+            ("at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\nstick = [0, -1.5]", "stick: -1 to 1, found -1.5"),
+            ("at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\ngrab = 1", "unknown field `grab`"),
+            (
+                "at-end = \"hold\"\n[[head]]\ntime = \"0 s\"\nturned = [0, 0, 0, 2]",
+                "a unit quaternion x y z w",
+            ),
+            (
+                "at-end = \"hold\"\nduration = \"1 s\"\n[[head]]\ntime = \"2 s\"",
+                "a duration of at least 2 s, the last keyframe, found 1 s",
+            ),
+        ] {
+            let error = Script::parse(Path::new("s.toml"), text).unwrap_err().to_string();
+            assert!(error.contains(said), "{error}");
+        }
+    }
+}
