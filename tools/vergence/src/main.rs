@@ -7,6 +7,7 @@
 mod doctor;
 mod failure;
 mod framing;
+mod imu;
 mod loading;
 mod logging;
 mod plan;
@@ -37,6 +38,7 @@ struct Cli {
 enum Verb {
     Plan(plan::Args),
     Doctor(doctor::Args),
+    Imu(imu::Args),
     Render(render::Args),
     Run(Box<run::Args>),
     Trade(trade::Args),
@@ -47,6 +49,7 @@ impl Verb {
         match self {
             Self::Plan(verb) => verb.run(),
             Self::Doctor(verb) => verb.run(),
+            Self::Imu(verb) => verb.run(),
             Self::Render(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
             Self::Trade(verb) => verb.run(),

@@ -1,0 +1,147 @@
+use std::io::Write;
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use vergence_sense::Imu;
+use vergence_time::{Span, Timestamp};
+
+use super::table::Table;
+use super::{Recording, Truth};
+use crate::Error;
+
+/// Columns that must be there, in any order.
+const NEEDED: [&str; 7] = ["t_s", "gyr_x", "gyr_y", "gyr_z", "acc_x", "acc_y", "acc_z"];
+const MAG: [&str; 3] = ["mag_x", "mag_y", "mag_z"];
+const TRUTH: [&str; 4] = ["gt_qw", "gt_qx", "gt_qy", "gt_qz"];
+/// Columns that may be there and are not used.
+const UNUSED: [&str; 3] = ["gt_px", "gt_py", "gt_pz"];
+
+/// Where columns of these names stand; `None` where none of them is there.
+fn places<const N: usize>(table: &Table, names: [&str; N]) -> Result<Option<[usize; N]>, Error> {
+    let mut places = [0; N];
+    let mut found = 0;
+    for (place, name) in places.iter_mut().zip(names) {
+        if let Some(index) = table.header().iter().position(|column| column == name) {
+            *place = index;
+            found += 1;
+        }
+    }
+    if found == 0 {
+        return Ok(None);
+    }
+    match names.iter().find(|name| !table.header().iter().any(|column| column == *name)) {
+        Some(missing) => {
+            let column = table.header().len();
+            Err(table.content(
+                1,
+                column,
+                &format!("a column '{missing}'"),
+                format!("'{}'", table.header().join(",")),
+            ))
+        }
+        None => Ok(Some(places)),
+    }
+}
+
+/// The instant of a time in seconds, later than the one before.
+fn instant(table: &Table, t_s: f64, column: usize, before: Option<Timestamp>) -> Result<Timestamp, Error> {
+    let line = table.line();
+    let Some(span) = Span::from_secs_f64(t_s) else {
+        return Err(table.content(line, column, "a time in seconds", t_s));
+    };
+    let at = Timestamp::from_nanos(span.as_nanos());
+    match before {
+        Some(before) if at <= before => {
+            let expected = format!("a time after {} s", before.as_nanos() as f64 * 1e-9);
+            Err(table.content(line, column, &expected, format!("{t_s} s")))
+        }
+        _ => Ok(at),
+    }
+}
+
+pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
+    let Some(needed) = places(table, NEEDED)? else {
+        let expected = "a column 't_s' (or a EuRoC header '#timestamp [ns],…')";
+        return Err(table.content(1, 1, expected, format!("'{}'", table.header().join(","))));
+    };
+    for (index, name) in table.header().iter().enumerate() {
+        let known = [&NEEDED[..], &MAG, &TRUTH, &UNUSED, &["movement"]].concat();
+        if !known.contains(&name.as_str()) || table.header()[..index].contains(name) {
+            let expected = format!("each of {} at most once", known.join(","));
+            return Err(table.content(1, index + 1, &expected, format!("'{name}'")));
+        }
+    }
+    let mag = places(table, MAG)?;
+    let truth = places(table, TRUTH)?;
+    let movement = places(table, ["movement"])?;
+    let mut recording = Recording::default();
+    let mut values = Vec::new();
+    let mut last = None;
+    while table.row(&mut values, |_| {})? {
+        let at = instant(table, values[needed[0]], needed[0] + 1, last)?;
+        last = Some(at);
+        let vector = |[x, y, z]: [usize; 3]| Vector3::new(values[x], values[y], values[z]);
+        let imu = Imu {
+            gyr_rad_s: vector([needed[1], needed[2], needed[3]]),
+            acc_m_s2: vector([needed[4], needed[5], needed[6]]),
+            mag_ut: mag.map(vector),
+        };
+        recording.samples.push((at, imu));
+        if let Some([w, x, y, z]) = truth {
+            let q = Quaternion::new(values[w], values[x], values[y], values[z]);
+            // NaN is where the cameras lost the board.
+            recording.truth.push(Truth {
+                earth_from_sensor: UnitQuaternion::try_new(q, 1e-6)
+                    .filter(|q| q.coords.iter().all(|v| v.is_finite())),
+                movement: movement.is_none_or(|[place]| values[place] != 0.0),
+            });
+        }
+    }
+    Ok(recording)
+}
+
+/// Reads `t_s,qw,qx,qy,qz`: orientations that take sensor-frame vectors to the earth frame.
+///
+/// # Errors
+/// File, line and column of the first fault.
+pub fn read_orientations(path: &Path) -> Result<Vec<(Timestamp, UnitQuaternion<f64>)>, Error> {
+    let mut table = Table::open(path)?;
+    if table.header() != ["t_s", "qw", "qx", "qy", "qz"] {
+        return Err(table.content(
+            1,
+            1,
+            "the header 't_s,qw,qx,qy,qz'",
+            format!("'{}'", table.header().join(",")),
+        ));
+    }
+    let (mut all, mut values, mut last) = (Vec::new(), Vec::new(), None);
+    while table.row(&mut values, |_| {})? {
+        let at = instant(&table, values[0], 1, last)?;
+        last = Some(at);
+        let q = Quaternion::new(values[1], values[2], values[3], values[4]);
+        let Some(q) = UnitQuaternion::try_new(q, 1e-6).filter(|q| q.coords.iter().all(|v| v.is_finite()))
+        else {
+            return Err(table.content(table.line(), 2, "a quaternion longer than zero", q));
+        };
+        all.push((at, q));
+    }
+    Ok(all)
+}
+
+/// Writes `t_s,qw,qx,qy,qz`, with times to the nanosecond.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_orientations(
+    mut out: impl Write,
+    rows: impl Iterator<Item = (Timestamp, UnitQuaternion<f64>)>,
+) -> std::io::Result<()> {
+    writeln!(out, "t_s,qw,qx,qy,qz")?;
+    for (at, q) in rows {
+        let nanos = at.as_nanos();
+        let sign = if nanos < 0 { "-" } else { "" };
+        let (whole, part) = (nanos.unsigned_abs() / 1_000_000_000, nanos.unsigned_abs() % 1_000_000_000);
+        writeln!(out, "{sign}{whole}.{part:09},{:.12},{:.12},{:.12},{:.12}", q.w, q.i, q.j, q.k)?;
+    }
+    out.flush()
+}

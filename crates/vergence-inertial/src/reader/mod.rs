@@ -1,0 +1,123 @@
+//! Recordings of inertial units and orientation estimates, from text files.
+
+mod broad;
+mod euroc;
+mod table;
+
+use std::path::Path;
+
+use nalgebra::UnitQuaternion;
+use vergence_sense::Imu;
+use vergence_time::{Span, Timestamp};
+
+use crate::{Error, Pair};
+use table::Table;
+
+pub use broad::{read_orientations, write_orientations};
+
+/// What one file holds.
+#[derive(Clone, Debug, Default)]
+pub struct Recording {
+    /// The samples, in order of time.
+    pub samples: Vec<(Timestamp, Imu)>,
+    /// Truth for each sample, or nothing for none of them.
+    pub truth: Vec<Truth>,
+}
+
+/// What the cameras saw at one sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Truth {
+    /// The true orientation in the ENU earth frame, where it was seen.
+    pub earth_from_sensor: Option<UnitQuaternion<f64>>,
+    /// Whether this sample is scored.
+    pub movement: bool,
+}
+
+/// The lowest and highest median rate that a recording may have, hertz: below it orientation cannot be followed, above it the
+/// times are in another unit.
+pub const RATES_HZ: (f64, f64) = (5.0, 50_000.0);
+
+impl Recording {
+    /// Reads a recording: a table `t_s,gyr_x,…,acc_z[,mag_x,…][,gt_qw,…][,movement]` (rad/s, m/s², µT; BROAD's style) or
+    /// EuRoC's `imu0/data.csv` (or its folder), each also compressed by gzip.
+    ///
+    /// # Errors
+    /// File, line and column of the first fault: missing or unknown columns, numbers that are none, time that does not grow,
+    /// truncated compression, a rate outside of [`RATES_HZ`].
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let inner = path.join("data.csv");
+        let path = if path.is_dir() { &inner } else { path };
+        let mut table = Table::open(path)?;
+        let recording = if table.header().first().is_some_and(|name| name.starts_with("#timestamp")) {
+            euroc::read(&mut table)?
+        } else {
+            broad::read(&mut table)?
+        };
+        let last_line = table.line();
+        let Some(period) = recording.period() else {
+            return Err(table.content(last_line, 1, "two samples or more", recording.samples.len()));
+        };
+        let rate_hz = 1.0 / period.as_secs_f64();
+        if !(RATES_HZ.0..=RATES_HZ.1).contains(&rate_hz) {
+            let expected = format!("a median rate of {} to {} Hz", RATES_HZ.0, RATES_HZ.1);
+            return Err(table.content(last_line, 1, &expected, format!("{rate_hz:.3} Hz")));
+        }
+        Ok(recording)
+    }
+
+    /// The median time between samples; `None` where there are fewer than two.
+    pub fn period(&self) -> Option<Span> {
+        let mut steps: Vec<i64> = self
+            .samples
+            .windows(2)
+            .map(|pair| pair[1].0.as_nanos().saturating_sub(pair[0].0.as_nanos()))
+            .collect();
+        let middle = steps.len() / 2;
+        (!steps.is_empty()).then(|| Span::from_nanos(*steps.select_nth_unstable(middle).1))
+    }
+
+    /// Pairs of estimate and truth at the samples that are scored: in movement and seen by the cameras. `estimate` comes from
+    /// the file `path` and has one row for each sample, at the same times to a microsecond.
+    ///
+    /// # Errors
+    /// [`Error::Mismatch`] where the rows do not correspond, or this recording has no truth.
+    pub fn scored(
+        &self,
+        estimate: &[(Timestamp, UnitQuaternion<f64>)],
+        path: &Path,
+    ) -> Result<Vec<Pair>, Error> {
+        let mismatch =
+            |expected: String, found: String| Error::Mismatch { path: path.to_owned(), expected, found };
+        if self.truth.is_empty() {
+            return Err(mismatch(
+                "a truth with columns gt_qw,gt_qx,gt_qy,gt_qz".to_owned(),
+                "none".to_owned(),
+            ));
+        }
+        if estimate.len() != self.samples.len() {
+            return Err(mismatch(format!("{} rows", self.samples.len()), format!("{} rows", estimate.len())));
+        }
+        let mut pairs = Vec::new();
+        for (row, ((at, q), ((expected, _), truth))) in
+            estimate.iter().zip(self.samples.iter().zip(&self.truth)).enumerate()
+        {
+            if at.as_nanos().abs_diff(expected.as_nanos()) > 1000 {
+                let seconds = |at: &Timestamp| at.as_nanos() as f64 * 1e-9;
+                let line = row + 2;
+                return Err(mismatch(
+                    format!("the time {} s in line {line}", seconds(expected)),
+                    format!("{} s", seconds(at)),
+                ));
+            }
+            if let Some(truth) = truth.earth_from_sensor.filter(|_| truth.movement) {
+                pairs.push((*at, *q, truth));
+            }
+        }
+        Ok(pairs)
+    }
+
+    /// Whether any sample has a magnetic field.
+    pub fn has_mag(&self) -> bool {
+        self.samples.iter().any(|(_, imu)| imu.mag_ut.is_some())
+    }
+}

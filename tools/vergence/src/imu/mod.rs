@@ -1,0 +1,29 @@
+//! `vergence imu`: orientation from inertial units; one file per verb.
+
+mod eval;
+mod run;
+
+use crate::failure::Failure;
+
+/// Orientation from inertial units: filters, their score, calibration, noise, prediction
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(clap::Subcommand)]
+enum Verb {
+    Run(run::Args),
+    Eval(eval::Args),
+}
+
+impl Args {
+    /// Runs the verb.
+    pub fn run(self) -> Result<(), Failure> {
+        match self.verb {
+            Verb::Run(verb) => verb.run(),
+            Verb::Eval(verb) => verb.run(),
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! `vergence imu run`: a filter over a recording.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use clap::ValueEnum;
+use serde_json::json;
+use vergence_inertial::filter::{self, Axes, Kind};
+use vergence_inertial::{Recording, write_orientations};
+
+use crate::failure::Failure;
+
+/// Runs an orientation filter over a recording and writes an orientation for each sample
+#[derive(clap::Args)]
+pub struct Args {
+    /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz), or EuRoC's imu0 (its folder or data.csv)
+    input: PathBuf,
+    /// The filter
+    #[arg(long, default_value = "vqf")]
+    filter: Name,
+    /// Sensors to read: 6 is gyroscope and accelerometer, 9 also the magnetometer
+    #[arg(long, default_value = "9", value_parser = ["6", "9"])]
+    axes: String,
+    /// Where to write `t_s,qw,qx,qy,qz`: rotations of sensor-frame vectors into the earth frame, ENU
+    #[arg(short, long)]
+    out: PathBuf,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// A filter by its name.
+#[derive(Clone, Copy, Debug)]
+pub struct Name(pub Kind);
+
+impl ValueEnum for Name {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [Name; Kind::ALL.len()] = {
+            let mut all = [Name(Kind::ALL[0]); Kind::ALL.len()];
+            let mut i = 0;
+            while i < all.len() {
+                all[i] = Name(Kind::ALL[i]);
+                i += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<clap::builder::PossibleValue> {
+        Some(clap::builder::PossibleValue::new(self.0.name()))
+    }
+}
+
+impl Args {
+    /// Reads, filters, writes.
+    pub fn run(self) -> Result<(), Failure> {
+        let recording = Recording::read(&self.input).map_err(|error| Failure::work(&error))?;
+        let axes = if self.axes == "6" { Axes::Six } else { Axes::Nine };
+        if axes == Axes::Nine && !recording.has_mag() {
+            return Err(Failure::Call(format!(
+                "{} has no magnetometer: expected --axes 6",
+                self.input.display()
+            )));
+        }
+        let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
+        let mut filter = self.filter.0.filter(axes, period);
+        let started = Instant::now();
+        let orientations = filter::run(filter.as_mut(), &recording.samples);
+        let ns_per_sample = started.elapsed().as_nanos() as f64 / recording.samples.len() as f64;
+        let out = |error: std::io::Error| Failure::Work(format!("{}: {error}", self.out.display()));
+        let times = recording.samples.iter().map(|(at, _)| *at);
+        let file = BufWriter::new(File::create(&self.out).map_err(out)?);
+        write_orientations(file, times.zip(orientations)).map_err(out)?;
+        let rejected: serde_json::Map<String, serde_json::Value> =
+            filter.rejections().occurred().map(|(name, count)| (name.to_owned(), json!(count))).collect();
+        if self.json {
+            println!(
+                "{}",
+                json!({ "samples": recording.samples.len(), "ns_per_sample": ns_per_sample, "rejected": rejected })
+            );
+        } else {
+            println!("{} samples, {ns_per_sample:.0} ns each", recording.samples.len());
+            for (reason, count) in &rejected {
+                println!("rejected: {reason} in {count} samples");
+            }
+        }
+        Ok(())
+    }
+}
