@@ -16,13 +16,17 @@
 
 mod body;
 mod control;
+mod happening;
 mod imu;
 mod pose;
+mod raw;
 
 pub use body::{Gaze, HandJoint, HandJoints, JOINTS_PER_HAND, JointPose};
 pub use control::{Axis, Button, Haptic, Vector2};
+pub use happening::{Event, FrameHash, FrameTiming, Scalar};
 pub use imu::Imu;
 pub use pose::{Pose, Tracking, Velocity};
+pub use raw::{RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Validity};
 
 use vergence_time::Timestamp;
 

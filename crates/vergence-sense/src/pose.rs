@@ -86,6 +86,26 @@ impl Pose {
         pose
     }
 
+    /// Exactly these numbers, as [`Pose::to_exact`] gave them: nothing is judged and nothing normalised.
+    pub fn from_exact(
+        position_m: [f64; 3],
+        position_tracking: Tracking,
+        orientation_xyzw: [f64; 4],
+        orientation_tracking: Tracking,
+    ) -> Self {
+        let [x, y, z, w] = orientation_xyzw;
+        let rotation = UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z));
+        let reference_from_device = Rigid::from_parts(Vector3::from(position_m).into(), rotation);
+        Self { reference_from_device, position_tracking, orientation_tracking }
+    }
+
+    /// Position in metres and orientation as x y z w, for keeping: also the parts that may not be read.
+    pub fn to_exact(&self) -> ([f64; 3], [f64; 4]) {
+        let p = self.reference_from_device.translation.vector;
+        let q = self.reference_from_device.rotation.coords;
+        ([p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
+    }
+
     /// The pose where both of its parts may be read.
     pub fn reference_from_device(&self) -> Option<Rigid> {
         (self.position_tracking != Tracking::Lost && self.orientation_tracking != Tracking::Lost)

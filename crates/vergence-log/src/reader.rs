@@ -1,0 +1,632 @@
+//! Reading a log from its beginning to its end.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Seek};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use vergence_sense::Sample;
+
+use crate::chunk::decompress;
+use crate::error::Error;
+use crate::header::{FORMAT_VERSION, Header, SESSION};
+use crate::message::{ClockKind, Message};
+use crate::records::{Fields, HEAD, Inner, MAGIC, Malformed, MessageRecord, Record, op};
+
+/// How much memory reading may take.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// The largest record, and the largest chunk before compression, that is read; bytes. A reader holds one of each.
+    pub record_bytes: u64,
+    /// Schemas, streams, notes and names of attachments together, bytes.
+    pub index_bytes: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { record_bytes: 256 << 20, index_bytes: 64 << 20 }
+    }
+}
+
+/// What a stream is, as its file says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StreamInfo {
+    /// MCAP's number of the channel.
+    pub id: u16,
+    /// `/head`.
+    pub name: String,
+    /// Name of the schema.
+    pub schema: String,
+    /// How messages are encoded.
+    pub encoding: String,
+    /// Everything else that the file says: `type`, `version`, `unit`, `frame`, `clock`, notes.
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl StreamInfo {
+    fn get(&self, key: &str) -> &str {
+        self.metadata.get(key).map_or("", String::as_str)
+    }
+
+    /// Name of the type; the schema's where a stranger wrote the stream.
+    pub fn type_name(&self) -> &str {
+        self.metadata.get("type").unwrap_or(&self.schema)
+    }
+
+    /// Of the values; empty where there is none.
+    pub fn unit(&self) -> &str {
+        self.get("unit")
+    }
+
+    /// Reference frame of the values; empty where there is none.
+    pub fn frame(&self) -> &str {
+        self.get("frame")
+    }
+
+    /// Which clock the values come from.
+    pub fn clock(&self) -> ClockKind {
+        if self.get("clock") == ClockKind::Host.name() { ClockKind::Host } else { ClockKind::Session }
+    }
+}
+
+/// Where in a file something is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Place {
+    /// Offset in the file of the record, or of the chunk that it is in.
+    pub offset: u64,
+    /// Offset in the decompressed chunk; 0 outside of chunks.
+    pub in_chunk: u64,
+}
+
+/// How a file ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// As it should.
+    Complete,
+    /// The recording was cut off: nothing whole is behind this offset.
+    CutOff {
+        /// Offset in the file.
+        at: u64,
+    },
+}
+
+/// A message, still encoded.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry<'a> {
+    /// Of which stream.
+    pub stream: &'a Arc<StreamInfo>,
+    /// Its number in its stream; gaps are messages that were dropped.
+    pub sequence: u32,
+    /// MCAP's log time: arrival, 0 for instants before the epoch. The exact instant is in the payload.
+    pub log_time: u64,
+    /// MCAP's publish time: capture, 0 for instants before the epoch.
+    pub publish_time: u64,
+    /// Where in the file.
+    pub place: Place,
+    /// As encoded.
+    pub payload: &'a [u8],
+    path: &'a Path,
+}
+
+impl Entry<'_> {
+    /// Whether the stream carries messages of type `T`.
+    pub fn is<T: Message>(&self) -> bool {
+        self.stream.type_name() == T::NAME
+    }
+
+    /// The message, bit for bit as it was written.
+    ///
+    /// # Errors
+    /// Where the stream carries another type, or the bytes are no such message.
+    pub fn decode<T: Message>(&self) -> Result<Sample<T>, Error> {
+        let version = self.stream.get("version");
+        let newer = version.parse::<u32>().is_ok_and(|version| version > T::VERSION);
+        if !self.is::<T>() || newer {
+            return Err(Error::Type {
+                path: self.path.to_owned(),
+                stream: self.stream.name.clone(),
+                expected: format!("{} version {}", T::NAME, T::VERSION),
+                found: format!("{} version {version}", self.stream.type_name()),
+            });
+        }
+        T::decode(self.payload).map_err(|source| Error::Decode {
+            path: self.path.to_owned(),
+            at: self.place.offset,
+            stream: self.stream.name.clone(),
+            expected: T::NAME,
+            source: Box::new(source),
+        })
+    }
+}
+
+/// What is attached to a log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Attachment {
+    /// As it was given.
+    pub name: String,
+    /// As it was given.
+    pub media_type: String,
+    /// Offset in the file of its record.
+    pub offset: u64,
+    /// Of the record, bytes.
+    pub length: u64,
+}
+
+/// What stands in front of a record, and where.
+#[derive(Clone, Copy)]
+struct Head {
+    opcode: u8,
+    offset: u64,
+    /// With the head.
+    length: u64,
+}
+
+/// Where a message is that was found.
+struct Found {
+    channel: u16,
+    sequence: u32,
+    log_time: u64,
+    publish_time: u64,
+    place: Place,
+    in_chunk: bool,
+    data: Range<usize>,
+}
+
+impl Found {
+    fn new(message: &MessageRecord<'_>, place: Place, in_chunk: bool, end: usize) -> Self {
+        Self {
+            channel: message.channel,
+            sequence: message.sequence,
+            log_time: message.log_time,
+            publish_time: message.publish_time,
+            place,
+            in_chunk,
+            data: end - message.data.len()..end,
+        }
+    }
+}
+
+/// Streams the messages of a log in the order in which they arrived, holding one chunk at a time.
+pub struct Reader {
+    path: PathBuf,
+    limits: Limits,
+    file: BufReader<File>,
+    length: u64,
+    /// Offset of the next record.
+    at: u64,
+    /// The record that was read last.
+    body: Vec<u8>,
+    /// The chunk that is being read: its offset, its content, and how far it is read.
+    chunk_at: u64,
+    chunk: Vec<u8>,
+    chunk_read: usize,
+    index_bytes: u64,
+    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
+    streams: BTreeMap<u16, Arc<StreamInfo>>,
+    library: String,
+    header: Option<Header>,
+    metadata: Vec<(String, BTreeMap<String, String>)>,
+    attachments: Vec<Attachment>,
+    ending: Option<Ending>,
+}
+
+impl Reader {
+    /// Opens a log and reads what it says about its session.
+    ///
+    /// # Errors
+    /// Where it cannot be read, is no MCAP file, or is of a newer format.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
+        Self::open_with(path, Limits::default())
+    }
+
+    /// Opens a log with other limits; see [`Reader::open`].
+    ///
+    /// # Errors
+    /// As [`Reader::open`].
+    pub fn open_with(path: impl AsRef<Path>, limits: Limits) -> Result<Self, Error> {
+        let path = path.as_ref().to_owned();
+        let open = || -> std::io::Result<(File, u64)> {
+            let file = File::open(&path)?;
+            let length = file.metadata()?.len();
+            Ok((file, length))
+        };
+        let (file, length) = open().map_err(|error| Error::read(&path, error))?;
+        let mut reader = Self {
+            path,
+            limits,
+            file: BufReader::with_capacity(64 << 10, file),
+            length,
+            at: 0,
+            body: Vec::new(),
+            chunk_at: 0,
+            chunk: Vec::new(),
+            chunk_read: 0,
+            index_bytes: 0,
+            schemas: BTreeMap::new(),
+            streams: BTreeMap::new(),
+            library: String::new(),
+            header: None,
+            metadata: Vec::new(),
+            attachments: Vec::new(),
+            ending: None,
+        };
+        reader.begin()?;
+        Ok(reader)
+    }
+
+    fn begin(&mut self) -> Result<(), Error> {
+        let mut magic = [0; MAGIC.len()];
+        match self.file.read_exact(&mut magic) {
+            Ok(()) if magic == *MAGIC => self.at = MAGIC.len() as u64,
+            Ok(()) => return Err(self.not_a_log(format!("a file that begins with {magic:02x?}"))),
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => {
+                return Err(self.not_a_log(format!("{} bytes", self.length)));
+            }
+            Err(error) => return Err(Error::read(&self.path, error)),
+        }
+        // The session's record is the second; a stranger's file has none, and messages come at once.
+        while self.header.is_none() && self.ending.is_none() {
+            let before = self.at;
+            match self.read_record()? {
+                Some(head) if matches!(head.opcode, op::HEADER | op::METADATA | op::SCHEMA | op::CHANNEL) => {
+                    self.take_record(head)?;
+                }
+                _ => {
+                    // To be read again by whoever asks for messages.
+                    self.seek(before)?;
+                    self.ending = None;
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn not_a_log(&self, found: String) -> Error {
+        Error::NotALog { path: self.path.clone(), expected: "an MCAP file", found }
+    }
+
+    fn damaged(&self, at: u64, malformed: Malformed) -> Error {
+        Error::Damaged { path: self.path.clone(), at, expected: malformed.expected, found: malformed.found }
+    }
+
+    fn seek(&mut self, at: u64) -> Result<(), Error> {
+        self.file.seek(std::io::SeekFrom::Start(at)).map_err(|error| Error::read(&self.path, error))?;
+        self.at = at;
+        Ok(())
+    }
+
+    /// Where it records come from.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What the file says about its session; `None` where a stranger wrote it.
+    pub fn header(&self) -> Option<&Header> {
+        self.header.as_ref()
+    }
+
+    /// Which library wrote the file.
+    pub fn library(&self) -> &str {
+        &self.library
+    }
+
+    /// The streams that have been met so far: all, once the end is reached.
+    pub fn streams(&self) -> impl Iterator<Item = &Arc<StreamInfo>> {
+        self.streams.values()
+    }
+
+    /// The schema of a stream: its encoding and its data.
+    pub fn schema(&self, stream: &StreamInfo) -> Option<(&str, &[u8])> {
+        let found = self.schemas.values().find(|(name, ..)| *name == stream.schema)?;
+        Some((&found.1, &found.2))
+    }
+
+    /// Facts that were added under names, as far as they have been met.
+    pub fn metadata(&self) -> &[(String, BTreeMap<String, String>)] {
+        &self.metadata
+    }
+
+    /// What is attached, as far as it has been met.
+    pub fn attachments(&self) -> &[Attachment] {
+        &self.attachments
+    }
+
+    /// How the file ends; `None` until the end is reached.
+    pub fn ending(&self) -> Option<Ending> {
+        self.ending
+    }
+
+    /// Bytes read so far and in all, for a progress bar.
+    pub fn progress(&self) -> (u64, u64) {
+        (self.at, self.length)
+    }
+
+    /// The next message; `None` at the end, whose kind [`Reader::ending`] tells.
+    ///
+    /// # Errors
+    /// Where the file cannot be read or is damaged. Asked again, it goes on behind the damage, as far as the length of
+    /// the damaged record can be trusted.
+    #[expect(clippy::should_implement_trait, reason = "an entry borrows the reader")]
+    pub fn next(&mut self) -> Result<Option<Entry<'_>>, Error> {
+        let Some(found) = self.advance()? else { return Ok(None) };
+        let Some(stream) = self.streams.get(&found.channel) else {
+            let found = Malformed::new(
+                "a message of a stream that was announced",
+                format!("number {}", found.channel),
+            );
+            return Err(self.damaged(self.chunk_at.max(self.at), found));
+        };
+        let buffer = if found.in_chunk { &self.chunk } else { &self.body };
+        Ok(Some(Entry {
+            stream,
+            sequence: found.sequence,
+            log_time: found.log_time,
+            publish_time: found.publish_time,
+            place: found.place,
+            payload: &buffer[found.data],
+            path: &self.path,
+        }))
+    }
+
+    fn advance(&mut self) -> Result<Option<Found>, Error> {
+        loop {
+            if self.chunk_read < self.chunk.len() {
+                if let Some(found) = self.advance_in_chunk()? {
+                    return Ok(Some(found));
+                }
+                continue;
+            }
+            if self.ending.is_some() {
+                return Ok(None);
+            }
+            let Some(head) = self.read_record()? else { return Ok(None) };
+            if let Some(found) = self.take_record(head)? {
+                return Ok(Some(found));
+            }
+        }
+    }
+
+    /// Reads on in the chunk; `None` where what was read is no message.
+    fn advance_in_chunk(&mut self) -> Result<Option<Found>, Error> {
+        let (offset, in_chunk) = (self.chunk_at, self.chunk_read as u64);
+        let chunk = std::mem::take(&mut self.chunk);
+        let mut inner = Inner::new(&chunk, self.chunk_read);
+        let taken = match inner.next() {
+            Ok(Some(Record::Message(message))) => {
+                Ok(Some(Found::new(&message, Place { offset, in_chunk }, true, inner.at())))
+            }
+            Ok(Some(Record::Schema { id, name, encoding, data })) => {
+                self.add_schema(id, name, encoding, data).map(|()| None)
+            }
+            Ok(Some(Record::Channel { id, schema, topic, encoding, metadata })) => {
+                self.add_stream(id, schema, topic, encoding, metadata).map(|()| None)
+            }
+            Ok(_) => Ok(None),
+            Err(malformed) => Err(malformed),
+        };
+        self.chunk_read = inner.at();
+        self.chunk = chunk;
+        taken.map_err(|malformed| {
+            // Where one record ends is not known, no other in this chunk begins.
+            self.chunk.clear();
+            self.chunk_read = 0;
+            self.damaged(offset, malformed)
+        })
+    }
+
+    /// Reads a record of the file into `body`. `None` where the file ends, and how is noted.
+    fn read_record(&mut self) -> Result<Option<Head>, Error> {
+        let at = self.at;
+        let left = self.length.saturating_sub(at);
+        if left < HEAD as u64 {
+            self.ending = Some(Ending::CutOff { at });
+            return Ok(None);
+        }
+        let mut head = [0; HEAD];
+        self.file.read_exact(&mut head).map_err(|error| Error::read(&self.path, error))?;
+        let mut length = [0; 8];
+        length.copy_from_slice(&head[1..]);
+        let length = u64::from_le_bytes(length);
+        if length > left - HEAD as u64 {
+            self.ending = Some(Ending::CutOff { at });
+            return Ok(None);
+        }
+        let opcode = head[0];
+        self.body.clear();
+        let wanted = match opcode {
+            // Asked for by name, where at all; and what is not known is passed over.
+            op::MESSAGE_INDEX => 0,
+            op::ATTACHMENT => length.min(64 << 10),
+            op::HEADER..=op::DATA_END => length,
+            _ => 0,
+        };
+        if wanted > self.limits.record_bytes {
+            self.seek(at + HEAD as u64 + length)?;
+            let found = format!("{length} bytes");
+            return Err(
+                self.damaged(at, Malformed::new("a record that fits into the memory that is allowed", found))
+            );
+        }
+        // Within the file and within the limit.
+        self.body.resize(wanted as usize, 0);
+        self.file.read_exact(&mut self.body).map_err(|error| Error::read(&self.path, error))?;
+        if wanted == length {
+            self.at = at + HEAD as u64 + length;
+        } else {
+            self.seek(at + HEAD as u64 + length)?;
+        }
+        Ok(Some(Head { opcode, offset: at, length: HEAD as u64 + length }))
+    }
+
+    /// Takes in the record that was read last; a message is found.
+    fn take_record(&mut self, head: Head) -> Result<Option<Found>, Error> {
+        let body = std::mem::take(&mut self.body);
+        let taken = self.take_body(head, &body);
+        self.body = body;
+        taken
+    }
+
+    fn take_body(&mut self, head: Head, body: &[u8]) -> Result<Option<Found>, Error> {
+        let offset = head.offset;
+        if head.opcode == op::ATTACHMENT {
+            let taken = self.add_attachment(head, body);
+            return taken.map(|()| None).map_err(|malformed| self.damaged(offset, malformed));
+        }
+        let record = Record::parse(head.opcode, body).map_err(|malformed| self.damaged(offset, malformed))?;
+        let taken = match record {
+            Record::Message(message) => {
+                let place = Place { offset, in_chunk: 0 };
+                return Ok(Some(Found::new(&message, place, false, body.len())));
+            }
+            Record::Header { library } => {
+                library.clone_into(&mut self.library);
+                Ok(())
+            }
+            Record::Chunk(chunk) => {
+                self.chunk_at = offset;
+                self.chunk_read = 0;
+                decompress(&chunk, self.limits.record_bytes, &mut self.chunk)
+                    .inspect_err(|_| self.chunk.clear())
+            }
+            Record::Schema { id, name, encoding, data } => self.add_schema(id, name, encoding, data),
+            Record::Channel { id, schema, topic, encoding, metadata } => {
+                self.add_stream(id, schema, topic, encoding, metadata)
+            }
+            Record::Metadata { name, metadata } => {
+                return self.add_metadata(offset, name, metadata).map(|()| None);
+            }
+            Record::Footer => {
+                let mut magic = [0; MAGIC.len()];
+                let whole = self.file.read_exact(&mut magic).is_ok() && magic == *MAGIC;
+                self.ending = Some(if whole { Ending::Complete } else { Ending::CutOff { at: self.at } });
+                Ok(())
+            }
+            Record::Attachment | Record::DataEnd | Record::Other => Ok(()),
+        };
+        taken.map(|()| None).map_err(|malformed| self.damaged(offset, malformed))
+    }
+
+    /// Counts what is kept for the whole file.
+    fn charge(&mut self, bytes: usize) -> Result<(), Malformed> {
+        // What a map needs beside the bytes themselves.
+        self.index_bytes += bytes as u64 + 128;
+        if self.index_bytes > self.limits.index_bytes {
+            let found = format!("{} bytes of them", self.index_bytes);
+            return Err(Malformed::new(
+                "schemas, streams and notes that fit into the memory that is allowed",
+                found,
+            ));
+        }
+        Ok(())
+    }
+
+    fn add_schema(&mut self, id: u16, name: &str, encoding: &str, data: &[u8]) -> Result<(), Malformed> {
+        if let Some(known) = self.schemas.get(&id) {
+            let same = (known.0.as_str(), known.1.as_str(), known.2.as_slice()) == (name, encoding, data);
+            let found = || format!("two, '{}' and '{name}'", known.0);
+            return if same { Ok(()) } else { Err(Malformed::new("one schema per number", found())) };
+        }
+        self.charge(name.len() + encoding.len() + data.len())?;
+        self.schemas.insert(id, (name.to_owned(), encoding.to_owned(), data.to_owned()));
+        Ok(())
+    }
+
+    fn add_stream(
+        &mut self,
+        id: u16,
+        schema: u16,
+        topic: &str,
+        encoding: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), Malformed> {
+        let schema = match self.schemas.get(&schema) {
+            Some((name, ..)) => name.clone(),
+            // MCAP: messages without a schema.
+            None if schema == 0 => String::new(),
+            None => {
+                return Err(Malformed::new(
+                    "a schema before the stream that has it",
+                    format!("number {schema}"),
+                ));
+            }
+        };
+        let info = StreamInfo { id, name: topic.to_owned(), schema, encoding: encoding.to_owned(), metadata };
+        if let Some(known) = self.streams.get(&id) {
+            let found = || format!("two, '{}' and '{topic}'", known.name);
+            return if **known == info {
+                Ok(())
+            } else {
+                Err(Malformed::new("one stream per number", found()))
+            };
+        }
+        let notes: usize = info.metadata.iter().map(|(key, value)| key.len() + value.len() + 64).sum();
+        self.charge(topic.len() + encoding.len() + info.schema.len() + notes)?;
+        self.streams.insert(id, Arc::new(info));
+        Ok(())
+    }
+
+    fn add_metadata(
+        &mut self,
+        offset: u64,
+        name: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), Error> {
+        if name == SESSION && self.header.is_none() {
+            let version = metadata.get("format_version").map_or("", String::as_str);
+            if !version.parse::<u32>().is_ok_and(|version| version <= FORMAT_VERSION) {
+                return Err(Error::Newer {
+                    path: self.path.clone(),
+                    expected: FORMAT_VERSION,
+                    found: format!("'{version}'"),
+                });
+            }
+            self.header = Some(Header::from_map(&metadata));
+            return Ok(());
+        }
+        let bytes = metadata.iter().map(|(key, value)| key.len() + value.len() + 64).sum::<usize>();
+        self.charge(name.len() + bytes).map_err(|malformed| self.damaged(offset, malformed))?;
+        self.metadata.push((name.to_owned(), metadata));
+        Ok(())
+    }
+
+    fn add_attachment(&mut self, head: Head, start: &[u8]) -> Result<(), Malformed> {
+        let mut fields = Fields(start);
+        let what = "an attachment";
+        let (_log_time, _create_time) = (fields.u64(what)?, fields.u64(what)?);
+        let (name, media_type) = (fields.text(what)?, fields.text(what)?);
+        self.charge(name.len() + media_type.len())?;
+        self.attachments.push(Attachment {
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            offset: head.offset,
+            length: head.length,
+        });
+        Ok(())
+    }
+
+    /// Every message of one stream, in order. For streams that fit into memory.
+    ///
+    /// # Errors
+    /// Where the file is damaged, has no such stream, or the stream carries another type.
+    pub fn read_all<T: Message>(path: impl AsRef<Path>, stream: &str) -> Result<Vec<Sample<T>>, Error> {
+        let mut reader = Self::open(path)?;
+        let mut samples = Vec::new();
+        while let Some(entry) = reader.next()? {
+            if entry.stream.name == stream {
+                samples.push(entry.decode()?);
+            }
+        }
+        if !reader.streams().any(|info| info.name == stream) {
+            let names: Vec<&str> = reader.streams().map(|info| info.name.as_str()).collect();
+            return Err(Error::NoStream {
+                path: reader.path.clone(),
+                stream: stream.to_owned(),
+                found: names.join(", "),
+            });
+        }
+        Ok(samples)
+    }
+}

@@ -1,0 +1,416 @@
+//! The thread that writes: takes messages out of the queues in the order of their arrival, puts them into chunks, and
+//! ends a chunk in time.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use mcap::records::{AttachmentHeader, MessageHeader, Metadata};
+use vergence_sense::Event;
+use vergence_time::Timestamp;
+
+use crate::error::Error;
+use crate::header::{Header, PROFILE, SESSION};
+use crate::lane::{LaneEnd, Prefix, Shared};
+use crate::message::{Message, StreamDesc, Times};
+use crate::recorder::{Compression, Options};
+use crate::sink::Sink;
+use crate::wire::Encoder;
+
+/// How often empty queues are looked at.
+const POLL: Duration = Duration::from_millis(5);
+/// Messages between two looks at the clock.
+const BATCH: usize = 256;
+
+/// What the recorder asks of its thread.
+#[derive(Debug)]
+pub(crate) enum Command {
+    Stream(StreamRecord),
+    Lane(LaneEnd),
+    Metadata(String, BTreeMap<String, String>),
+    Attach { name: String, media_type: String, file: PathBuf },
+}
+
+/// A stream, ready to be written.
+#[derive(Debug)]
+pub(crate) struct StreamRecord {
+    id: u16,
+    name: String,
+    schema: String,
+    descriptor: Vec<u8>,
+    metadata: BTreeMap<String, String>,
+}
+
+impl StreamRecord {
+    /// What the recorder itself has to say.
+    pub(crate) const OWN: &'static str = "/recorder/events";
+
+    pub(crate) fn of<T: Message>(id: u16, desc: &StreamDesc) -> Self {
+        let mut metadata: BTreeMap<String, String> = desc.notes.iter().cloned().collect();
+        for (key, value) in [
+            ("type", T::NAME.to_owned()),
+            ("version", T::VERSION.to_string()),
+            ("unit", desc.unit.clone().unwrap_or_else(|| T::UNIT.to_owned())),
+            ("frame", desc.frame.clone()),
+            ("clock", desc.clock.name().to_owned()),
+        ] {
+            metadata.insert(key.to_owned(), value);
+        }
+        Self {
+            id,
+            name: desc.name.clone(),
+            schema: T::SCHEMA.name.to_owned(),
+            descriptor: T::SCHEMA.descriptor_set(),
+            metadata,
+        }
+    }
+}
+
+/// What is known of a stream while it is written.
+#[derive(Debug, Default)]
+struct Known {
+    name: String,
+    next: u32,
+}
+
+#[derive(Debug)]
+enum Failed {
+    Mcap(mcap::McapError),
+    Io(std::io::Error),
+}
+
+impl From<mcap::McapError> for Failed {
+    fn from(error: mcap::McapError) -> Self {
+        Self::Mcap(error)
+    }
+}
+
+impl From<std::io::Error> for Failed {
+    fn from(error: std::io::Error) -> Self {
+        Self::Io(error)
+    }
+}
+
+impl Failed {
+    fn into_io(self) -> std::io::Error {
+        match self {
+            Self::Io(error) | Self::Mcap(mcap::McapError::Io(error)) => error,
+            Self::Mcap(error) => std::io::Error::other(error),
+        }
+    }
+}
+
+pub(crate) struct Writer {
+    path: PathBuf,
+    options: Options,
+    mcap: mcap::Writer<Sink>,
+    /// A second handle of the same file, to sync it and to cut it off.
+    file: File,
+    quiet: Arc<AtomicBool>,
+    shared: Arc<Shared>,
+    failure: Arc<Mutex<Option<Error>>>,
+    inbox: Receiver<Command>,
+    lanes: Vec<LaneEnd>,
+    streams: Vec<Option<Known>>,
+    payload: Vec<u8>,
+    /// Since when something waits to be flushed.
+    waiting_since: Option<Instant>,
+    /// Up to here the file is complete.
+    good: u64,
+    last_arrived: Timestamp,
+    own_sequence: u32,
+    /// Dropped messages that the log has told of.
+    told: u64,
+}
+
+/// MCAP counts time in unsigned nanoseconds; earlier instants are written as 0 there and exactly in the payload. Order
+/// in the file is that of arrival, so that ties keep it.
+pub(crate) fn log_time(instant: Timestamp) -> u64 {
+    u64::try_from(instant.as_nanos()).unwrap_or(0)
+}
+
+impl Writer {
+    pub(crate) fn create(
+        path: &Path,
+        header: &Header,
+        options: &Options,
+        shared: Arc<Shared>,
+        failure: Arc<Mutex<Option<Error>>>,
+        inbox: Receiver<Command>,
+    ) -> Result<Self, Error> {
+        let refused = |error: std::io::Error| Error::create(path, error);
+        let file = File::create(path).map_err(refused)?;
+        let sink = Sink::new(file.try_clone().map_err(refused)?);
+        let quiet = sink.quiet();
+        let mcap = write_options(options.compression, options.chunk_bytes).create(sink);
+        let mut writer = Self {
+            path: path.to_owned(),
+            options: *options,
+            mcap: mcap.map_err(|error| refused(Failed::from(error).into_io()))?,
+            file,
+            quiet,
+            shared,
+            failure,
+            inbox,
+            lanes: Vec::new(),
+            streams: Vec::new(),
+            payload: Vec::with_capacity(64 << 10),
+            waiting_since: None,
+            good: 0,
+            last_arrived: Timestamp::default(),
+            own_sequence: 0,
+            told: 0,
+        };
+        if let Err(failed) = writer.begin(header) {
+            writer.quiet.store(true, Ordering::Release);
+            return Err(refused(failed.into_io()));
+        }
+        Ok(writer)
+    }
+
+    fn begin(&mut self, header: &Header) -> Result<(), Failed> {
+        self.mcap.write_metadata(&Metadata { name: SESSION.to_owned(), metadata: header.to_map() })?;
+        self.add_stream(StreamRecord::of::<Event>(0, &StreamDesc::new(StreamRecord::OWN)))?;
+        self.flush()
+    }
+
+    pub(crate) fn add(&mut self, lane: LaneEnd) {
+        self.lanes.push(lane);
+    }
+
+    /// Until it is told to stop and has written everything, or the file fails.
+    pub(crate) fn run(mut self) {
+        let result = self.write_all();
+        if let Err(failed) = result {
+            self.fail(failed);
+        }
+        // Whoever writes on is not held up: its queue runs full and counts.
+    }
+
+    fn write_all(&mut self) -> Result<(), Failed> {
+        loop {
+            // Looked at before the queues: what was written before the stop is in them.
+            let stopping = self.shared.stop.load(Ordering::Acquire);
+            self.obey()?;
+            let more = self.drain()?;
+            let age = self.waiting_since.map_or(Duration::ZERO, |since| since.elapsed());
+            if age >= self.options.chunk_every {
+                self.flush()?;
+            }
+            if more {
+                continue;
+            }
+            if stopping {
+                break;
+            }
+            self.lanes.retain(|lane| !lane.is_over());
+            std::thread::park_timeout(POLL);
+        }
+        let dropped = self.shared.dropped.load(Ordering::Acquire);
+        if dropped > self.told {
+            self.say("dropped", "", f64::NAN, (dropped - self.told) as f64)?;
+        }
+        self.mcap.finish()?;
+        if self.options.durable {
+            self.file.sync_all()?;
+        }
+        Ok(())
+    }
+
+    /// Does what the recorder asked for.
+    fn obey(&mut self) -> Result<(), Failed> {
+        while let Ok(command) = self.inbox.try_recv() {
+            match command {
+                Command::Stream(record) => self.add_stream(record)?,
+                Command::Lane(lane) => self.lanes.push(lane),
+                Command::Metadata(name, metadata) => {
+                    self.mcap.write_metadata(&Metadata { name, metadata })?;
+                    self.waiting_since.get_or_insert_with(Instant::now);
+                }
+                Command::Attach { name, media_type, file } => self.attach(name, media_type, &file)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn add_stream(&mut self, record: StreamRecord) -> Result<(), Failed> {
+        let schema = self.mcap.add_schema(&record.schema, "protobuf", &record.descriptor)?;
+        self.mcap.add_channel_with_id(record.id, schema, &record.name, "protobuf", &record.metadata)?;
+        let index = usize::from(record.id);
+        if self.streams.len() <= index {
+            self.streams.resize_with(index + 1, || None);
+        }
+        self.streams[index] = Some(Known { name: record.name, next: 0 });
+        self.waiting_since.get_or_insert_with(Instant::now);
+        Ok(())
+    }
+
+    /// A file that cannot be read is said in the log and is no failure of the recording.
+    fn attach(&mut self, name: String, media_type: String, path: &Path) -> Result<(), Failed> {
+        let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+        let (length, mut file) = match opened {
+            Ok(opened) => opened,
+            Err(error) => {
+                log::warn!("{}: cannot be attached: {error}", path.display());
+                return self.say("not_attached", &name, f64::NAN, f64::NAN);
+            }
+        };
+        self.flush()?;
+        let header =
+            AttachmentHeader { log_time: log_time(self.last_arrived), create_time: 0, name, media_type };
+        self.mcap.start_attachment(length, header)?;
+        let (mut left, mut piece) = (length, vec![0; 256 << 10]);
+        while left > 0 {
+            let most = usize::try_from(left).unwrap_or(usize::MAX).min(piece.len());
+            let read = match file.read(&mut piece[..most]) {
+                Ok(read) if read > 0 => read,
+                // Shorter than it was, or unreadable: the promised length must be kept.
+                _ => {
+                    log::warn!(
+                        "{}: {left} bytes could not be attached; zeros stand for them",
+                        path.display()
+                    );
+                    piece.fill(0);
+                    most
+                }
+            };
+            self.mcap.put_attachment_bytes(&piece[..read])?;
+            left -= read as u64;
+        }
+        self.mcap.finish_attachment()?;
+        self.flush()
+    }
+
+    /// Writes what is in the queues, at most a batch; whether there may be more.
+    fn drain(&mut self) -> Result<bool, Failed> {
+        for _ in 0..BATCH {
+            let mut first: Option<(usize, Prefix)> = None;
+            for (index, lane) in self.lanes.iter_mut().enumerate() {
+                if let Some(prefix) = lane.peek()
+                    && first.is_none_or(|(_, earliest)| prefix.order < earliest.order)
+                {
+                    first = Some((index, prefix));
+                }
+            }
+            let Some((index, prefix)) = first else { return Ok(false) };
+            let mut payload = std::mem::take(&mut self.payload);
+            self.lanes[index].take(&mut payload);
+            let written = self.message(prefix, &payload);
+            self.payload = payload;
+            written?;
+        }
+        Ok(true)
+    }
+
+    fn message(&mut self, prefix: Prefix, payload: &[u8]) -> Result<(), Failed> {
+        let index = usize::from(prefix.stream);
+        if !self.streams.get(index).is_some_and(Option::is_some) {
+            // It was asked for after this thread last looked, and before the message.
+            self.obey()?;
+        }
+        self.last_arrived = prefix.times.arrived;
+        let mut missing = None;
+        if let Some(Some(known)) = self.streams.get_mut(index) {
+            let gap = prefix.sequence.wrapping_sub(known.next);
+            if gap > 0 {
+                missing = Some((known.name.clone(), known.next, gap));
+            }
+            known.next = prefix.sequence.wrapping_add(1);
+        }
+        if let Some((name, from, count)) = missing {
+            self.told += u64::from(count);
+            self.say("dropped", &name, f64::from(from), f64::from(count))?;
+        }
+        let header = MessageHeader {
+            channel_id: prefix.stream,
+            sequence: prefix.sequence,
+            log_time: log_time(prefix.times.arrived),
+            publish_time: log_time(prefix.times.captured),
+        };
+        self.mcap.write_to_known_channel(&header, payload)?;
+        self.waiting_since.get_or_insert_with(Instant::now);
+        Ok(())
+    }
+
+    /// An event of the recorder's own.
+    fn say(&mut self, name: &'static str, text: &str, before: f64, after: f64) -> Result<(), Failed> {
+        let times = Times::at(self.last_arrived);
+        let event = Event { name: name.into(), text: text.to_owned().into(), at: None, before, after };
+        let mut payload = Vec::new();
+        event.encode(times, "", &mut Encoder::new(&mut payload));
+        let header = MessageHeader {
+            channel_id: 0,
+            sequence: self.own_sequence,
+            log_time: log_time(times.arrived),
+            publish_time: log_time(times.captured),
+        };
+        self.own_sequence = self.own_sequence.wrapping_add(1);
+        self.mcap.write_to_known_channel(&header, &payload)?;
+        self.waiting_since.get_or_insert_with(Instant::now);
+        Ok(())
+    }
+
+    /// Ends the chunk and hands it to the system; with `durable`, to the disk.
+    fn flush(&mut self) -> Result<(), Failed> {
+        self.mcap.flush()?;
+        if self.options.durable {
+            self.file.sync_data()?;
+        }
+        self.good = self.file.stream_position()?;
+        self.waiting_since = None;
+        Ok(())
+    }
+
+    /// The file ends where it was last complete, with an ending if there is room for one.
+    fn fail(&mut self, failed: Failed) {
+        self.shared.failed.store(true, Ordering::Release);
+        self.quiet.store(true, Ordering::Release);
+        let source = Arc::new(failed.into_io());
+        if let Err(error) = close_at(&mut self.file, self.good) {
+            log::warn!("{}: the file has no ending, which a repair gives it: {error}", self.path.display());
+        }
+        let error = Error::Write { path: self.path.clone(), good_bytes: self.good, source };
+        *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+    }
+}
+
+/// The writer of files of this format.
+pub(crate) fn write_options(compression: Compression, chunk_bytes: u64) -> mcap::WriteOptions {
+    let compression = match compression {
+        Compression::None => None,
+        Compression::Lz4 => Some(mcap::Compression::Lz4),
+        Compression::Zstd => Some(mcap::Compression::Zstd),
+    };
+    mcap::WriteOptions::new()
+        .profile(PROFILE)
+        .library(concat!("vergence-log ", env!("CARGO_PKG_VERSION")))
+        .compression(compression)
+        .compression_threads(0)
+        .chunk_size(Some(chunk_bytes))
+        // Chunks are put together in memory and written whole: a kill never leaves a header that was not patched.
+        .disable_seeking(true)
+}
+
+/// Cuts the file off at `good` and writes the shortest ending that MCAP allows: no summary, no checksums.
+fn close_at(file: &mut File, good: u64) -> std::io::Result<()> {
+    file.set_len(good)?;
+    file.seek(SeekFrom::Start(good))?;
+    let mut ending = Vec::with_capacity(64);
+    ending.push(mcap::records::op::DATA_END);
+    ending.extend_from_slice(&4u64.to_le_bytes());
+    ending.extend_from_slice(&[0; 4]);
+    ending.push(mcap::records::op::FOOTER);
+    ending.extend_from_slice(&20u64.to_le_bytes());
+    ending.extend_from_slice(&[0; 20]);
+    ending.extend_from_slice(mcap::MAGIC);
+    if let Err(error) = file.write_all(&ending) {
+        file.set_len(good)?;
+        return Err(error);
+    }
+    file.sync_data()
+}
