@@ -53,4 +53,12 @@ pub enum Error {
         /// What the estimate has.
         found: String,
     },
+    /// A recording that does not hold what the work takes.
+    #[error("expected {expected}, found {found}")]
+    Unusable {
+        /// What it takes.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
 }

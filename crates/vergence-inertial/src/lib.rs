@@ -1,10 +1,18 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod allan;
+pub mod calibrate;
+mod dice;
 mod error;
 pub mod filter;
+pub mod model;
+pub mod motion;
+pub mod predict;
+pub mod preintegrate;
 mod reader;
 mod score;
+mod still;
 
 pub use error::Error;
 pub use reader::{RATES_HZ, Recording, Truth, read_orientations, write_orientations};
