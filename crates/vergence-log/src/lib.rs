@@ -2,22 +2,33 @@
 #![forbid(unsafe_code)]
 
 mod chunk;
+mod cut;
+mod diff;
 mod error;
 mod header;
 mod lane;
+mod merge;
 mod message;
 mod messages;
 mod reader;
 mod recorder;
 mod records;
+mod repair;
+mod rewrite;
 pub mod schema;
 mod sink;
+mod survey;
 pub mod wire;
 mod writer;
 
+pub use cut::{Kept, Part, cut};
+pub use diff::{Diff, Difference, StreamDiff, diff};
 pub use error::Error;
 pub use header::{FORMAT_VERSION, Header};
 pub use lane::Lane;
+pub use merge::{Merged, merge};
 pub use message::{ClockKind, Message, Stream, StreamDesc, Times};
 pub use reader::{Attachment, Ending, Entry, Limits, Place, Reader, StreamInfo};
 pub use recorder::{Compression, Options, Recorder, Status};
+pub use repair::{Repair, repair};
+pub use survey::{Delay, Finding, StreamSurvey, Survey};

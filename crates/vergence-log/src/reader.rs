@@ -1,5 +1,8 @@
 //! Reading a log from its beginning to its end.
 
+mod behind;
+mod index;
+
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Seek};
@@ -9,11 +12,11 @@ use std::sync::Arc;
 
 use vergence_sense::Sample;
 
-use crate::chunk::decompress;
 use crate::error::Error;
-use crate::header::{FORMAT_VERSION, Header, SESSION};
+use crate::header::Header;
 use crate::message::{ClockKind, Message};
-use crate::records::{Fields, HEAD, Inner, MAGIC, Malformed, MessageRecord, Record, op};
+use crate::records::{HEAD, Inner, MAGIC, Malformed, MessageRecord, Record, op};
+use behind::Behind;
 
 /// How much memory reading may take.
 #[derive(Clone, Copy, Debug)]
@@ -210,6 +213,10 @@ pub struct Reader {
     metadata: Vec<(String, BTreeMap<String, String>)>,
     attachments: Vec<Attachment>,
     ending: Option<Ending>,
+    /// A record that was damaged, until it is known where reading goes on behind it.
+    behind: Option<Behind>,
+    /// Streams were looked for at the end of the file, too.
+    summary_read: bool,
 }
 
 impl Reader {
@@ -251,6 +258,8 @@ impl Reader {
             metadata: Vec::new(),
             attachments: Vec::new(),
             ending: None,
+            behind: None,
+            summary_read: false,
         };
         reader.begin()?;
         Ok(reader)
@@ -271,17 +280,23 @@ impl Reader {
             let before = self.at;
             match self.read_record()? {
                 Some(head) if matches!(head.opcode, op::HEADER | op::METADATA | op::SCHEMA | op::CHANNEL) => {
-                    self.take_record(head)?;
+                    match self.take_record(head) {
+                        Ok(_) => {}
+                        Err(Error::Damaged { .. }) => return self.again(before),
+                        Err(error) => return Err(error),
+                    }
                 }
-                _ => {
-                    // To be read again by whoever asks for messages.
-                    self.seek(before)?;
-                    self.ending = None;
-                    break;
-                }
+                _ => return self.again(before),
             }
         }
         Ok(())
+    }
+
+    /// What was looked at is read again, and damage told, when messages are asked for.
+    fn again(&mut self, at: u64) -> Result<(), Error> {
+        self.ending = None;
+        self.behind = None;
+        self.seek(at)
     }
 
     fn not_a_log(&self, found: String) -> Error {
@@ -347,17 +362,17 @@ impl Reader {
     /// The next message; `None` at the end, whose kind [`Reader::ending`] tells.
     ///
     /// # Errors
-    /// Where the file cannot be read or is damaged. Asked again, it goes on behind the damage, as far as the length of
-    /// the damaged record can be trusted.
+    /// Where the file cannot be read or is damaged. Asked again after damage, it goes on with what is whole behind it.
     #[expect(clippy::should_implement_trait, reason = "an entry borrows the reader")]
     pub fn next(&mut self) -> Result<Option<Entry<'_>>, Error> {
         let Some(found) = self.advance()? else { return Ok(None) };
+        if !self.streams.contains_key(&found.channel) {
+            self.read_summary()?;
+        }
         let Some(stream) = self.streams.get(&found.channel) else {
-            let found = Malformed::new(
-                "a message of a stream that was announced",
-                format!("number {}", found.channel),
-            );
-            return Err(self.damaged(self.chunk_at.max(self.at), found));
+            let (place, found) = (found.place, format!("number {}", found.channel));
+            let malformed = Malformed::new("a message of a stream that was announced", found);
+            return Err(self.damaged(place.offset, malformed));
         };
         let buffer = if found.in_chunk { &self.chunk } else { &self.body };
         Ok(Some(Entry {
@@ -381,6 +396,10 @@ impl Reader {
             }
             if self.ending.is_some() {
                 return Ok(None);
+            }
+            if let Some(behind) = self.behind.take() {
+                self.go_on(behind)?;
+                continue;
             }
             let Some(head) = self.read_record()? else { return Ok(None) };
             if let Some(found) = self.take_record(head)? {
@@ -430,11 +449,23 @@ impl Reader {
         let mut length = [0; 8];
         length.copy_from_slice(&head[1..]);
         let length = u64::from_le_bytes(length);
-        if length > left - HEAD as u64 {
-            self.ending = Some(Ending::CutOff { at });
-            return Ok(None);
-        }
         let opcode = head[0];
+        if length > left - HEAD as u64 {
+            // Cut off here, unless there are whole chunks behind: then this length is wrong.
+            if self.find_chunk(at + 1)?.is_none() {
+                self.ending = Some(Ending::CutOff { at });
+                return Ok(None);
+            }
+            self.behind = Some(Behind { offset: at, next: u64::MAX });
+            let found = format!("one of {length} bytes");
+            return Err(self.damaged(at, Malformed::new("a record that ends inside of the file", found)));
+        }
+        let behind = Behind { offset: at, next: at + HEAD as u64 + length };
+        if opcode == 0 || (op::DATA_END + 1..0x80).contains(&opcode) {
+            self.behind = Some(behind);
+            let found = format!("number {opcode:#04x}");
+            return Err(self.damaged(at, Malformed::new("a kind of record that there is", found)));
+        }
         self.body.clear();
         let wanted = match opcode {
             // Asked for by name, where at all; and what is not known is passed over.
@@ -459,152 +490,6 @@ impl Reader {
             self.seek(at + HEAD as u64 + length)?;
         }
         Ok(Some(Head { opcode, offset: at, length: HEAD as u64 + length }))
-    }
-
-    /// Takes in the record that was read last; a message is found.
-    fn take_record(&mut self, head: Head) -> Result<Option<Found>, Error> {
-        let body = std::mem::take(&mut self.body);
-        let taken = self.take_body(head, &body);
-        self.body = body;
-        taken
-    }
-
-    fn take_body(&mut self, head: Head, body: &[u8]) -> Result<Option<Found>, Error> {
-        let offset = head.offset;
-        if head.opcode == op::ATTACHMENT {
-            let taken = self.add_attachment(head, body);
-            return taken.map(|()| None).map_err(|malformed| self.damaged(offset, malformed));
-        }
-        let record = Record::parse(head.opcode, body).map_err(|malformed| self.damaged(offset, malformed))?;
-        let taken = match record {
-            Record::Message(message) => {
-                let place = Place { offset, in_chunk: 0 };
-                return Ok(Some(Found::new(&message, place, false, body.len())));
-            }
-            Record::Header { library } => {
-                library.clone_into(&mut self.library);
-                Ok(())
-            }
-            Record::Chunk(chunk) => {
-                self.chunk_at = offset;
-                self.chunk_read = 0;
-                decompress(&chunk, self.limits.record_bytes, &mut self.chunk)
-                    .inspect_err(|_| self.chunk.clear())
-            }
-            Record::Schema { id, name, encoding, data } => self.add_schema(id, name, encoding, data),
-            Record::Channel { id, schema, topic, encoding, metadata } => {
-                self.add_stream(id, schema, topic, encoding, metadata)
-            }
-            Record::Metadata { name, metadata } => {
-                return self.add_metadata(offset, name, metadata).map(|()| None);
-            }
-            Record::Footer => {
-                let mut magic = [0; MAGIC.len()];
-                let whole = self.file.read_exact(&mut magic).is_ok() && magic == *MAGIC;
-                self.ending = Some(if whole { Ending::Complete } else { Ending::CutOff { at: self.at } });
-                Ok(())
-            }
-            Record::Attachment | Record::DataEnd | Record::Other => Ok(()),
-        };
-        taken.map(|()| None).map_err(|malformed| self.damaged(offset, malformed))
-    }
-
-    /// Counts what is kept for the whole file.
-    fn charge(&mut self, bytes: usize) -> Result<(), Malformed> {
-        // What a map needs beside the bytes themselves.
-        self.index_bytes += bytes as u64 + 128;
-        if self.index_bytes > self.limits.index_bytes {
-            let found = format!("{} bytes of them", self.index_bytes);
-            return Err(Malformed::new(
-                "schemas, streams and notes that fit into the memory that is allowed",
-                found,
-            ));
-        }
-        Ok(())
-    }
-
-    fn add_schema(&mut self, id: u16, name: &str, encoding: &str, data: &[u8]) -> Result<(), Malformed> {
-        if let Some(known) = self.schemas.get(&id) {
-            let same = (known.0.as_str(), known.1.as_str(), known.2.as_slice()) == (name, encoding, data);
-            let found = || format!("two, '{}' and '{name}'", known.0);
-            return if same { Ok(()) } else { Err(Malformed::new("one schema per number", found())) };
-        }
-        self.charge(name.len() + encoding.len() + data.len())?;
-        self.schemas.insert(id, (name.to_owned(), encoding.to_owned(), data.to_owned()));
-        Ok(())
-    }
-
-    fn add_stream(
-        &mut self,
-        id: u16,
-        schema: u16,
-        topic: &str,
-        encoding: &str,
-        metadata: BTreeMap<String, String>,
-    ) -> Result<(), Malformed> {
-        let schema = match self.schemas.get(&schema) {
-            Some((name, ..)) => name.clone(),
-            // MCAP: messages without a schema.
-            None if schema == 0 => String::new(),
-            None => {
-                return Err(Malformed::new(
-                    "a schema before the stream that has it",
-                    format!("number {schema}"),
-                ));
-            }
-        };
-        let info = StreamInfo { id, name: topic.to_owned(), schema, encoding: encoding.to_owned(), metadata };
-        if let Some(known) = self.streams.get(&id) {
-            let found = || format!("two, '{}' and '{topic}'", known.name);
-            return if **known == info {
-                Ok(())
-            } else {
-                Err(Malformed::new("one stream per number", found()))
-            };
-        }
-        let notes: usize = info.metadata.iter().map(|(key, value)| key.len() + value.len() + 64).sum();
-        self.charge(topic.len() + encoding.len() + info.schema.len() + notes)?;
-        self.streams.insert(id, Arc::new(info));
-        Ok(())
-    }
-
-    fn add_metadata(
-        &mut self,
-        offset: u64,
-        name: &str,
-        metadata: BTreeMap<String, String>,
-    ) -> Result<(), Error> {
-        if name == SESSION && self.header.is_none() {
-            let version = metadata.get("format_version").map_or("", String::as_str);
-            if !version.parse::<u32>().is_ok_and(|version| version <= FORMAT_VERSION) {
-                return Err(Error::Newer {
-                    path: self.path.clone(),
-                    expected: FORMAT_VERSION,
-                    found: format!("'{version}'"),
-                });
-            }
-            self.header = Some(Header::from_map(&metadata));
-            return Ok(());
-        }
-        let bytes = metadata.iter().map(|(key, value)| key.len() + value.len() + 64).sum::<usize>();
-        self.charge(name.len() + bytes).map_err(|malformed| self.damaged(offset, malformed))?;
-        self.metadata.push((name.to_owned(), metadata));
-        Ok(())
-    }
-
-    fn add_attachment(&mut self, head: Head, start: &[u8]) -> Result<(), Malformed> {
-        let mut fields = Fields(start);
-        let what = "an attachment";
-        let (_log_time, _create_time) = (fields.u64(what)?, fields.u64(what)?);
-        let (name, media_type) = (fields.text(what)?, fields.text(what)?);
-        self.charge(name.len() + media_type.len())?;
-        self.attachments.push(Attachment {
-            name: name.to_owned(),
-            media_type: media_type.to_owned(),
-            offset: head.offset,
-            length: head.length,
-        });
-        Ok(())
     }
 
     /// Every message of one stream, in order. For streams that fit into memory.

@@ -1,4 +1,5 @@
 //! What is recorded comes back bit for bit, in the order in which it arrived.
+#![allow(clippy::unwrap_used, reason = "a test stops where something is not as expected")]
 
 use proptest::prelude::*;
 use tempfile::TempDir;

@@ -90,3 +90,22 @@ impl Gathered {
         vergence_sense::Sample { captured: self.captured, arrived: self.arrived, value }
     }
 }
+
+/// The exact times of a message of ours or of Foxglove's; `None` where the schema is a stranger's.
+pub(crate) fn times_of(entry: &crate::Entry<'_>) -> Result<Option<Times>, WireError> {
+    if entry.stream.encoding != "protobuf" || !entry.stream.metadata.contains_key("type") {
+        return Ok(None);
+    }
+    let mut times = Times::at(Timestamp::default());
+    let foxglove = entry.stream.schema.starts_with("foxglove.");
+    Decoder::new(entry.payload).each(|number, value| {
+        match (foxglove, number) {
+            (true, 1) => times.captured = get_timestamp(value)?,
+            (true, ARRIVED) | (false, 2) => times.arrived = Timestamp::from_nanos(value.sfixed64()?),
+            (false, 1) => times.captured = Timestamp::from_nanos(value.sfixed64()?),
+            _ => {}
+        }
+        Ok(())
+    })?;
+    Ok(Some(times))
+}

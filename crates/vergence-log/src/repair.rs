@@ -1,0 +1,106 @@
+//! A whole log out of a damaged one.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::error::Error;
+use crate::header::Header;
+use crate::reader::{Ending, Limits, Reader};
+use crate::rewrite::{Copier, Rewriter};
+
+/// What a repair found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Repair {
+    /// Messages in the new file: every one that is whole in the old one, bit for bit, in its order.
+    pub messages: u64,
+    /// The old file ended as it should.
+    pub was_complete: bool,
+    /// From here on nothing whole was left.
+    pub cut_off_at: Option<u64>,
+    /// Bytes behind the last whole record.
+    pub lost_bytes_at_end: u64,
+    /// Damage before that: where, and what was expected and found.
+    pub damaged: Vec<String>,
+    /// Messages whose numbers are missing.
+    pub missing: u64,
+    /// Attachments that were damaged and are not in the new file.
+    pub lost_attachments: Vec<String>,
+}
+
+/// Writes every message that is whole in the log at `from` to a new file at `to`; `progress` hears of bytes read and
+/// bytes in all. A log that is whole is copied.
+///
+/// # Errors
+/// Where `from` is no log at all, or `to` cannot be written.
+pub fn repair(
+    from: &Path,
+    to: &Path,
+    limits: Limits,
+    progress: &mut dyn FnMut(u64, u64),
+) -> Result<Repair, Error> {
+    let mut found = Repair::default();
+    let mut copier = Copier::open(0, from, limits)?;
+    let mut writer = Rewriter::create(to, &[from])?;
+    let session = copier.reader.header().map(Header::to_map);
+    let had_session = session.is_some();
+    if let Some(session) = session {
+        writer.session(session)?;
+    }
+    let mut next: std::collections::BTreeMap<u16, u32> = std::collections::BTreeMap::new();
+    loop {
+        if found.messages.is_multiple_of(1024) {
+            let (read, all) = copier.reader.progress();
+            progress(read, all);
+        }
+        match copier.reader.next() {
+            Ok(Some(entry)) => {
+                found.messages += 1;
+                let expected = next.entry(entry.stream.id).or_insert(entry.sequence);
+                let ahead = entry.sequence.wrapping_sub(*expected);
+                if ahead < u32::MAX / 2 {
+                    found.missing += u64::from(ahead);
+                }
+                *expected = entry.sequence.wrapping_add(1);
+                let (id, sequence) = (entry.stream.id, entry.sequence);
+                let times = (entry.log_time, entry.publish_time);
+                if writer.message(0, id, sequence, times, entry.payload).is_err() {
+                    // A stream that was met just now.
+                    let payload = entry.payload.to_vec();
+                    found.lost_attachments.extend(copier.copy_facts(&mut writer)?);
+                    copier.copy_streams(&mut writer)?;
+                    writer.message(0, id, sequence, times, &payload)?;
+                }
+            }
+            Ok(None) => break,
+            Err(Error::Damaged { at, expected, found: there, .. }) => {
+                found.damaged.push(format!("byte {at}: expected {expected}, found {there}"));
+                if found.damaged.len() > MOST_DAMAGE {
+                    return Err(Error::Request(format!("{}: too much is damaged", from.display())));
+                }
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    found.lost_attachments.extend(copier.copy_facts(&mut writer)?);
+    copier.copy_streams(&mut writer)?;
+    if !had_session && let Some(header) = copier.reader.header() {
+        writer.session(header.to_map())?;
+    }
+    end(&copier.reader, &mut found);
+    writer.finish()?;
+    Ok(found)
+}
+
+/// More single places of damage than any disk leaves: the file is something else.
+const MOST_DAMAGE: usize = 100_000;
+
+fn end(reader: &Reader, found: &mut Repair) {
+    match reader.ending() {
+        Some(Ending::CutOff { at }) => {
+            found.cut_off_at = Some(at);
+            found.lost_bytes_at_end = reader.progress().1.saturating_sub(at);
+        }
+        _ => found.was_complete = true,
+    }
+}

@@ -1,0 +1,145 @@
+//! What is made out of logs: surveys, parts, merged logs, comparisons.
+#![allow(clippy::unwrap_used, reason = "a test stops where something is not as expected")]
+
+use std::path::{Path, PathBuf};
+
+use tempfile::TempDir;
+use vergence_log::{
+    Error, Header, Options, Part, Reader, Recorder, StreamDesc, Survey, Times, cut, diff, merge,
+};
+use vergence_sense::{Scalar, Vector2};
+use vergence_time::Timestamp;
+
+fn at(nanos: i64) -> Timestamp {
+    Timestamp::from_nanos(nanos)
+}
+
+/// 1,000 readings of a device at 1 kHz whose clock runs 100 ppm fast and that arrive 3 ms later, with a gap of 50 ms;
+/// and what a host measured.
+fn log(dir: &Path, name: &str, change: impl Fn(i64, f64) -> f64) -> PathBuf {
+    let path = dir.join(name);
+    let header = Header { application: name.into(), ..Header::default() };
+    let mut recorder = Recorder::create(&path, &header, &Options::default()).unwrap();
+    let device = recorder.stream::<Scalar>(&StreamDesc::new("/device/x").unit("m").frame("stage")).unwrap();
+    let stick = recorder.stream::<Vector2>(&StreamDesc::new("/stick")).unwrap();
+    let host = recorder.stream::<Scalar>(&StreamDesc::new("/host/cpu").unit("ms").host_time()).unwrap();
+    for step in 0..1000 {
+        let captured = step * 1_000_000 + if step >= 500 { 50_000_000 } else { 0 };
+        let arrived = captured + captured / 10_000 + 3_000_000;
+        recorder.write(&device, Times::new(at(captured), at(arrived)), &Scalar(change(step, step as f64)));
+        if step % 10 == 0 {
+            recorder.write(&stick, Times::at(at(arrived)), &Vector2(Some([0.5, -0.0])));
+            let noise = std::time::Instant::now().elapsed().as_nanos() as f64 + change(step, 0.0);
+            recorder.write(&host, Times::at(at(arrived)), &Scalar(noise));
+        }
+    }
+    recorder.annotate("late", &[("driver".to_owned(), "x 1.2".to_owned())].into());
+    recorder.finish().unwrap();
+    path
+}
+
+fn same(_: i64, value: f64) -> f64 {
+    value
+}
+
+#[test]
+fn a_survey_says_rate_gaps_and_clocks() {
+    let dir = TempDir::new().unwrap();
+    let path = log(dir.path(), "a.mcap", same);
+    let survey = Survey::of(&mut Reader::open(&path).unwrap(), &mut |_, _| {}).unwrap();
+    assert!(survey.is_well(), "{:?}", survey.findings);
+    assert_eq!((survey.messages, survey.arrived_ns.unwrap().0), (1200, 3_000_000));
+    assert_eq!(survey.metadata, ["late"]);
+    let device = survey.streams.iter().find(|stream| stream.name == "/device/x").unwrap();
+    assert_eq!(
+        (device.unit.as_str(), device.frame.as_str(), device.type_name.as_str()),
+        ("m", "stage", "Scalar")
+    );
+    assert_eq!((device.count, device.gaps, device.missing), (1000, 1, 0));
+    assert!((device.rate_hz.unwrap() / 1000.0 - 1.0).abs() < 0.05, "{:?}", device.rate_hz);
+    assert!((device.longest_gap_s - 0.051).abs() < 1e-9);
+    let delay = device.delay.unwrap();
+    assert!((delay.drift_ppm - 100.0).abs() < 0.1 && delay.residual_ms < 1e-3, "{delay:?}");
+    assert!((delay.min_ms - 3.0).abs() < 1e-6 && (delay.max_ms - 3.104_9).abs() < 1e-4, "{delay:?}");
+    assert_eq!(survey.streams.iter().find(|stream| stream.name == "/host/cpu").unwrap().clock, "host");
+}
+
+#[test]
+fn a_survey_finds_what_runs_backwards() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("back.mcap");
+    let mut recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
+    let stream = recorder.stream::<Scalar>(&StreamDesc::new("/x")).unwrap();
+    for (captured, arrived) in [(1, 1), (3, 3), (2, 4), (5, 2)] {
+        recorder.write(&stream, Times::new(at(captured), at(arrived)), &Scalar(0.0));
+    }
+    recorder.finish().unwrap();
+    let survey = Survey::of(&mut Reader::open(&path).unwrap(), &mut |_, _| {}).unwrap();
+    let kinds: Vec<&str> = survey.findings.iter().map(|finding| finding.kind).collect();
+    assert_eq!((kinds, survey.is_well(), survey.complete), (vec!["capture", "arrival"], false, true));
+}
+
+#[test]
+fn a_part_keeps_bits_times_and_facts() {
+    let dir = TempDir::new().unwrap();
+    let path = log(dir.path(), "a.mcap", same);
+    let to = dir.path().join("part.mcap");
+    let part =
+        Part { from: Some(at(103_010_000)), until: Some(at(203_020_000)), streams: vec!["/device".into()] };
+    let kept = cut(&path, &to, &part, &mut |_, _| {}).unwrap();
+    let samples = Reader::read_all::<Scalar>(&to, "/device/x").unwrap();
+    assert_eq!((kept.messages, kept.messages + kept.left_out, samples.len()), (100, 1200, 100));
+    assert_eq!((samples[0].captured, samples[99].value), (at(100_000_000), Scalar(199.0)));
+    let mut reader = Reader::open(&to).unwrap();
+    assert_eq!(reader.header().unwrap().application, "a.mcap");
+    while reader.next().unwrap().is_some() {}
+    let names: Vec<&str> = reader.metadata().iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!((names, reader.streams().count()), (vec!["late", "vergence.cut"], 1));
+    let nothing = Part { streams: vec!["/dev".into()], ..Part::default() };
+    assert!(matches!(cut(&path, &to, &nothing, &mut |_, _| {}), Err(Error::NoStream { .. })));
+    assert!(matches!(cut(&path, &path, &part, &mut |_, _| {}), Err(Error::Request(_))));
+    assert_eq!(Reader::read_all::<Scalar>(&to, "/device/x").unwrap().len(), 100, "an earlier file stays");
+}
+
+#[test]
+fn merged_logs_are_in_the_order_of_arrival() {
+    let dir = TempDir::new().unwrap();
+    let (a, b) = (log(dir.path(), "a.mcap", same), log(dir.path(), "b.mcap", |_, value| -value));
+    let to = dir.path().join("both.mcap");
+    let merged = merge(&[&a, &b], &to, &mut |_, _| {}).unwrap();
+    assert_eq!(merged.messages, 2400);
+    assert!(merged.renamed.contains(&("/device/x".into(), "/b/device/x".into())), "{:?}", merged.renamed);
+    let survey = Survey::of(&mut Reader::open(&to).unwrap(), &mut |_, _| {}).unwrap();
+    assert!(survey.is_well(), "{:?}", survey.findings);
+    assert_eq!(survey.session["application"], "a.mcap");
+    assert!(survey.metadata.contains(&"vergence.session.2".to_owned()), "{:?}", survey.metadata);
+    let theirs = Reader::read_all::<Scalar>(&to, "/b/device/x").unwrap();
+    assert_eq!((theirs.len(), theirs[999].value), (1000, Scalar(-999.0)));
+}
+
+#[test]
+fn a_difference_is_found_in_its_stream_and_host_time_is_none() {
+    let dir = TempDir::new().unwrap();
+    let a = log(dir.path(), "a.mcap", same);
+    let compare = |other: &Path| diff(&a, other, &mut |_, _| {}).unwrap();
+    assert!(compare(&log(dir.path(), "b.mcap", same)).equal);
+    // The sign of zero is a difference; what the host measured is none.
+    let other = compare(&log(dir.path(), "c.mcap", |step, value| if step == 0 { -0.0 } else { value }));
+    let stream = |name: &str| other.streams.iter().find(|stream| stream.name == name).unwrap();
+    assert!(!other.equal && stream("/stick").first_difference.is_none());
+    assert_eq!(stream("/device/x").first_difference.as_ref().unwrap().index, 0);
+    assert_eq!(stream("/host/cpu").not_compared, Some("host time"));
+    let late =
+        compare(&log(dir.path(), "d.mcap", |step, value| if step == 700 { value + 1e-9 } else { value }));
+    let device = late.streams.iter().find(|stream| stream.name == "/device/x").unwrap();
+    let difference = device.first_difference.as_ref().unwrap();
+    assert_eq!((device.equal_until, difference.index), (700, 700));
+    assert_eq!(difference.arrived_a_ns, Some(750_000_000 + 75_000 + 3_000_000));
+    // One that ends earlier.
+    let part = Part { until: Some(at(300_000_000)), ..Part::default() };
+    let short = dir.path().join("short.mcap");
+    cut(&a, &short, &part, &mut |_, _| {}).unwrap();
+    let short = compare(&short);
+    let device = short.streams.iter().find(|stream| stream.name == "/device/x").unwrap();
+    assert!(!short.equal && device.first_difference.as_ref().unwrap().sentence.contains("only the first"));
+}
