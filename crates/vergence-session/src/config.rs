@@ -47,6 +47,8 @@ pub struct RunConfig {
     /// that nobody wears shows none. Later, only the time counts in which the headset wants pictures and none can be
     /// shown: who has worn it may put it down.
     pub patience_s: f64,
+    /// How long the runtime may take to say when the next frame begins before it is taken for hung, seconds. Default 10.
+    pub hang_s: f64,
     /// How often a lost session is asked for anew. Default 3.
     pub retries: u32,
     /// Mirrors the pictures in a window and ends when that is closed. The simulated headset then keeps to the wall clock,
@@ -85,6 +87,7 @@ impl Default for RunConfig {
             seconds: None,
             wait_s: 0.0,
             patience_s: 60.0,
+            hang_s: 10.0,
             retries: 3,
             window: false,
             quality: Quality::default(),

@@ -31,7 +31,7 @@ pub(crate) enum End {
     /// As it should, in this state.
     Over(State),
     /// It was lost; a new one may be asked for.
-    Lost(String),
+    Lost(vergence_xr::Error),
 }
 
 /// What a session keeps from frame to frame.
@@ -52,6 +52,8 @@ struct Session {
     views: Vec<View>,
     slot: usize,
     first_display: Option<Timestamp>,
+    /// Frames that failed in a row.
+    failed: u32,
 }
 
 /// Announced moves of LOCAL's origin: from the first on the floor is asked for anew, until the last has happened.
@@ -109,6 +111,16 @@ impl OurCpu {
 pub(crate) fn play(run: &mut Run<'_>, chosen: &Chosen) -> Result<End, Error> {
     let mut session = start(run, chosen)?;
     let ended = frames(run, &mut session);
+    if session.client.is_hung() {
+        // Whatever is destroyed now may not return either.
+        if let Some(desk) = &mut run.desk {
+            desk.detach();
+        }
+        let Session { renderer, client, .. } = session;
+        drop(renderer);
+        client.abandon();
+        return ended;
+    }
     if let Some(desk) = &mut run.desk {
         desk.detach();
     }
@@ -133,9 +145,10 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     let validation = run.config.validation;
     let surface = run.desk.as_ref().and_then(Desk::display);
     let desc = gpu::InstanceDesc { app_name: "vergence", validation, surface };
-    let instance = gpu::Instance::new(&desc, Some(&mut creator))?;
+    let instance = gpu::Instance::new(&desc, Some(&mut creator)).map_err(|error| creator.explain(error))?;
     let device_desc = gpu::DeviceDesc { present: surface.is_some(), ..gpu::DeviceDesc::default() };
-    let device = gpu::Device::new(&instance, &device_desc, Some(&mut creator))?;
+    let device = gpu::Device::new(&instance, &device_desc, Some(&mut creator))
+        .map_err(|error| creator.explain(error))?;
     if let Some(desk) = &mut run.desk {
         desk.attach(&device)?;
     }
@@ -152,6 +165,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
             hand_joints: run.config.hand_joints,
             eye_gaze: run.config.eye_gaze,
             refresh_rate_hz: run.config.refresh_rate_hz,
+            wait_patience: Duration::try_from_secs_f64(run.config.hang_s).unwrap_or(Duration::MAX),
         },
     )?;
     let pictures = client.pictures();
@@ -192,6 +206,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
         views: Vec::with_capacity(Located::MOST_VIEWS),
         slot: 0,
         first_display: None,
+        failed: 0,
     })
 }
 
@@ -211,15 +226,34 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
     let mut leaving: Option<Instant> = None;
     loop {
         let began = OurCpu::now(&session.client);
-        let state = session.client.poll()?;
+        let state = match session.client.poll() {
+            Ok(state) => state,
+            Err(error) => match forgive(run, session, error.into()) {
+                Err(error) if leaving.is_some() => {
+                    run.say(&format!("{error}; the session was ending anyway"));
+                    return Ok(End::Over(State::Exiting));
+                }
+                forgiven => {
+                    forgiven?;
+                    session.client.state()
+                }
+            },
+        };
         attend(run, session)?;
         match state {
-            State::Running { .. } => match frame(run, session, began, leaving.is_some())? {
-                Outcome::Shown => waiting_since = Instant::now(),
-                Outcome::Unasked => forbear(run, &mut waiting_since),
-                Outcome::Withheld => {}
+            State::Running { .. } => match frame(run, session, began, leaving.is_some()) {
+                Ok(Outcome::Shown) => waiting_since = Instant::now(),
+                Ok(Outcome::Unasked) => forbear(run, &mut waiting_since),
+                Ok(Outcome::Withheld) => {}
+                Err(error) if leaving.is_some() && !session.client.is_hung() => {
+                    run.say(&format!("{error}; the session was ending anyway"));
+                    return Ok(End::Over(State::Exiting));
+                }
+                Err(error) => return Err(error),
             },
-            State::Lost { .. } => return Ok(End::Lost(State::Lost { retry: true }.sentence().to_owned())),
+            // While the session is ending anyway, it is not asked for anew.
+            State::Lost { .. } if leaving.is_some() => return Ok(End::Over(State::Exiting)),
+            State::Lost { .. } => return Ok(End::Lost(vergence_xr::Error::SessionLost { call: "an event" })),
             State::Exiting => return Ok(End::Over(state)),
             State::Idle | State::Flat | State::WaitingForRuntime => {
                 run.tally.pause();
@@ -233,7 +267,10 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
                 // Nothing to say farewell to.
                 return Ok(End::Over(State::Exiting));
             }
-            session.client.request_exit()?;
+            if let Err(error) = session.client.request_exit() {
+                run.say(&format!("{error}; leaving without the runtime's answer"));
+                return Ok(End::Over(State::Exiting));
+            }
             leaving = Some(Instant::now());
         }
         if leaving.is_some_and(|since| since.elapsed() > FAREWELL) {
@@ -282,8 +319,44 @@ fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
     Ok(())
 }
 
-/// One frame.
+/// So many frames in a row may fail before the session is given up: what goes wrong once goes right the next time.
+const FORGIVEN: u32 = 5;
+
+/// Goes on after a call that failed and took nothing away.
+///
+/// # Errors
+/// The failure, where it is a loss or one of too many.
+fn forgive(run: &mut Run<'_>, session: &mut Session, error: Error) -> Result<(), Error> {
+    let passes = match &error {
+        Error::Headset(vergence_xr::Error::Call { .. }) => {
+            !matches!(session.client.state(), State::Lost { .. })
+        }
+        _ => false,
+    };
+    session.failed += 1;
+    if !passes || session.failed > FORGIVEN {
+        return Err(error);
+    }
+    run.say(&format!("{error}; going on without this frame"));
+    Ok(())
+}
+
+/// One frame. Where a call fails, it is left out.
 fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool) -> Result<Outcome, Error> {
+    match attempt(run, session, began, leaving) {
+        Ok(outcome) => {
+            session.failed = 0;
+            return Ok(outcome);
+        }
+        Err(error) => forgive(run, session, error)?,
+    }
+    if let Err(error) = session.client.drop_frame() {
+        forgive(run, session, error.into())?;
+    }
+    Ok(Outcome::Withheld)
+}
+
+fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool) -> Result<Outcome, Error> {
     let frame = session.client.wait()?;
     session.client.begin()?;
     let display = frame.prediction.display;

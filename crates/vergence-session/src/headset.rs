@@ -65,6 +65,7 @@ fn real(config: &RunConfig, connection: Connection, why: String) -> Result<Chose
     let refused = [
         ("--ipd", config.ipd_m.is_some(), "the eye poses are the user's own"),
         ("--motion", config.motion.is_some(), "the user moves the head"),
+        ("--fault", !config.faults.is_empty(), "it has its own"),
         ("--profile", config.profile.is_some(), "the headset is what it is"),
     ];
     if let Some((option, _, reason)) = refused.iter().find(|(_, given, _)| *given) {

@@ -106,11 +106,15 @@ fn check(config: &RunConfig) -> Result<(), Error> {
     };
     positive("--seconds", config.seconds)?;
     positive("--patience", Some(config.patience_s))?;
+    positive("hang_s", Some(config.hang_s))?;
     positive("--refresh-rate", config.refresh_rate_hz.map(f64::from))?;
     if config.frames == Some(0) {
         return Err(Error::Call("--frames: expected 1 or more, found 0".into()));
     }
     let given = |option: Option<&String>| option.is_some();
+    if config.headset == HeadsetChoice::OpenXr && !config.faults.is_empty() {
+        return Err(Error::Call("--fault is for the simulated headset: a real runtime has its own".into()));
+    }
     if config.headset == HeadsetChoice::OpenXr
         && (config.ipd_m.is_some() || given(config.motion.as_ref()) || given(config.profile.as_ref()))
     {
@@ -126,34 +130,13 @@ fn check(config: &RunConfig) -> Result<(), Error> {
 /// One session after the other until one ends by itself.
 fn sessions(run: &mut Run<'_>) -> Result<(), Error> {
     loop {
-        let config = run.config.clone();
-        let (watch, notices) = (&mut *run.watch, &mut run.report.notices);
-        let by_hand = run.desk.as_ref().map(Desk::user);
-        let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, &mut |sentence| {
-            watch(Happening::Said(sentence));
-            notices.push(sentence.to_owned());
-        })?;
-        run.config.headset =
-            if chosen.is_simulated { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
-        run.config.wait_s = run.config.wait_s.max(COME_BACK_S);
-        if run.tally.losses == 0 {
-            let description = chosen.connection.description();
-            let kind = if chosen.is_simulated { "simulated" } else { "openxr" };
-            run.report.headset = format!("{kind}: {}", description.headset);
-            run.report.why = chosen.why.clone();
-            run.report.runtime = description.runtime.clone();
-            run.report.api = description.api.clone();
-            let sentence = format!("{} ({})", run.report.headset, chosen.why);
-            run.say(&sentence);
-        }
-        let ended = frame_loop::play(run, &chosen);
-        let lost = match ended {
+        let lost = match one(run) {
             Ok(End::Over(state)) => {
                 run.report.state = state.name().to_owned();
                 return Ok(());
             }
-            Ok(End::Lost(why)) => why,
-            Err(Error::Headset(error)) if error.state() == (State::Lost { retry: true }) => error.to_string(),
+            Ok(End::Lost(error)) => error,
+            Err(Error::Headset(error)) if error.state() == (State::Lost { retry: true }) => error,
             Err(error) => return Err(error),
         };
         // A call that failed with the loss leaves no time to ask for the state's notice.
@@ -166,13 +149,37 @@ fn sessions(run: &mut Run<'_>) -> Result<(), Error> {
         if run.tally.losses > run.config.retries {
             run.report.state = State::Lost { retry: false }.name().to_owned();
             run.say(&format!("{lost}; lost {} times, giving up", run.tally.losses));
-            return Err(Error::Headset(vergence_xr::Error::SessionLost { call: "too often" }));
+            return Err(Error::Headset(lost));
         }
         run.say(&format!("{lost}; asking for it anew"));
-        if !chosen.is_simulated {
+        if run.config.headset == HeadsetChoice::OpenXr {
             std::thread::sleep(Duration::from_secs(1));
         }
     }
+}
+
+/// One session, from the headset on.
+fn one(run: &mut Run<'_>) -> Result<End, Error> {
+    let config = run.config.clone();
+    let (watch, notices) = (&mut *run.watch, &mut run.report.notices);
+    let by_hand = run.desk.as_ref().map(Desk::user);
+    let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, &mut |sentence| {
+        watch(Happening::Said(sentence));
+        notices.push(sentence.to_owned());
+    })?;
+    run.config.headset = if chosen.is_simulated { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
+    run.config.wait_s = run.config.wait_s.max(COME_BACK_S);
+    if run.report.headset.is_empty() {
+        let description = chosen.connection.description();
+        let kind = if chosen.is_simulated { "simulated" } else { "openxr" };
+        run.report.headset = format!("{kind}: {}", description.headset);
+        run.report.why = chosen.why.clone();
+        run.report.runtime = description.runtime.clone();
+        run.report.api = description.api.clone();
+        let sentence = format!("{} ({})", run.report.headset, chosen.why);
+        run.say(&sentence);
+    }
+    frame_loop::play(run, &chosen)
 }
 
 fn finish(run: &mut Run<'_>) -> Result<(), Error> {

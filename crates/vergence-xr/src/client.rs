@@ -1,6 +1,7 @@
 //! A session: its states, spaces, images, input, and the frame loop's calls in their order.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use openxr::sys;
 use vergence_action::ActionSet;
@@ -15,11 +16,13 @@ use crate::error::{Error, In, check};
 use crate::event::{Notice, Notices};
 use crate::hands::Hands;
 use crate::input::{Input, Reading};
+use crate::list::list;
 use crate::located::{Located, Viewpoints};
 use crate::runtime_clock::RuntimeClock;
 use crate::state::{Lifecycle, State, Step};
 use crate::swapchain::{Swapchain, SwapchainDesc};
 use crate::time_guard::{Prediction, TimeGuard};
+use crate::waiter::Waiter;
 
 /// Colour formats in the order in which they are liked; both store sRGB.
 const COLOR_FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
@@ -41,7 +44,12 @@ pub struct SessionDesc<'a> {
     pub eye_gaze: bool,
     /// The display's rate, where the runtime lets it be chosen; `None`: as it is.
     pub refresh_rate_hz: Option<f32>,
+    /// How long `xrWaitFrame` may take until the runtime is taken for hung. Default 10 s.
+    pub wait_patience: Duration,
 }
+
+/// A runtime that paces frames answers within a second, one that is busy with itself within a few.
+const WAIT_PATIENCE: Duration = Duration::from_secs(10);
 
 impl<'a> SessionDesc<'a> {
     /// The defaults: near plane at 5 cm, the recommended size, no further streams, the display's rate as it is.
@@ -53,6 +61,7 @@ impl<'a> SessionDesc<'a> {
             hand_joints: false,
             eye_gaze: false,
             refresh_rate_hz: None,
+            wait_patience: WAIT_PATIENCE,
         }
     }
 }
@@ -111,7 +120,10 @@ pub struct Client {
     viewpoints: Viewpoints,
     pictures: Pictures,
     near_m: f64,
-    begun: bool,
+    /// Waited for, not begun: a frame that could not be begun is not waited for again.
+    waited: Option<Frame>,
+    /// Begun, not ended.
+    begun: Option<Frame>,
     discarded: u64,
     /// Boxed once: an event is 4 KB.
     events: Box<openxr::EventDataBuffer>,
@@ -123,7 +135,7 @@ pub struct Client {
     head: openxr::Space,
     floor: Option<openxr::Space>,
     local: openxr::Space,
-    waiter: openxr::FrameWaiter,
+    waiter: Waiter,
     session: openxr::Session<openxr::Vulkan>,
     device: Arc<Device>,
     connection: Arc<Connection>,
@@ -151,7 +163,12 @@ impl Client {
 
         let space =
             |kind| session.create_reference_space(kind, convert::IDENTITY).during("xrCreateReferenceSpace");
-        let offered = session.enumerate_reference_spaces().during("xrEnumerateReferenceSpaces")?;
+        let enumerate = session.instance().fp().enumerate_reference_spaces;
+        let none = openxr::ReferenceSpaceType::from_raw(0);
+        let offered = list("xrEnumerateReferenceSpaces", none, |capacity, count, items| {
+            // SAFETY: the session lives; `items` is null or has `capacity` elements.
+            unsafe { enumerate(session.as_raw(), capacity, count, items) }
+        })?;
         let floor_kinds = [openxr::ReferenceSpaceType::LOCAL_FLOOR, openxr::ReferenceSpaceType::STAGE];
         let floor_kind = floor_kinds.into_iter().find(|&kind| {
             let may_ask = kind != openxr::ReferenceSpaceType::LOCAL_FLOOR
@@ -172,7 +189,8 @@ impl Client {
             viewpoints: Viewpoints::new(pictures.views),
             pictures,
             near_m: desc.near_m,
-            begun: false,
+            waited: None,
+            begun: None,
             discarded: 0,
             events: Box::new(openxr::EventDataBuffer::new()),
             input,
@@ -182,7 +200,7 @@ impl Client {
             head: space(openxr::ReferenceSpaceType::VIEW)?,
             floor: floor_kind.map(space).transpose()?,
             local: space(openxr::ReferenceSpaceType::LOCAL)?,
-            waiter,
+            waiter: Waiter::start(waiter, desc.wait_patience)?,
             session,
             device: Arc::clone(device),
             connection: Arc::clone(connection),
@@ -235,15 +253,13 @@ impl Client {
                     let kind = self.connection.view_configuration;
                     let Self { clock, session, .. } = self;
                     let begun = clock.during(|| session.begin(kind)).during("xrBeginSession");
-                    if let Err(error) = begun {
-                        self.lifecycle.on_begin_failed();
-                        return Err(error);
-                    }
+                    self.settle(begun)?;
                 }
                 Step::End => {
-                    self.begun = false;
+                    (self.waited, self.begun) = (None, None);
                     let Self { clock, session, .. } = self;
-                    clock.during(|| session.end()).during("xrEndSession")?;
+                    let ended = clock.during(|| session.end()).during("xrEndSession");
+                    self.settle(ended)?;
                 }
             }
             let after = self.lifecycle.state();
@@ -252,6 +268,14 @@ impl Client {
             }
         }
         Ok(())
+    }
+
+    /// A session that could not be begun or ended is of no use any more: the runtime asks for it only once.
+    fn settle<T>(&mut self, result: Result<T, Error>) -> Result<T, Error> {
+        if result.is_err() {
+            self.on_loss();
+        }
+        result
     }
 
     /// What has happened since the last call, oldest first.
@@ -273,13 +297,17 @@ impl Client {
         self.note(result)
     }
 
-    /// Waits until the next frame should be begun. May block for as long as the runtime likes.
+    /// Waits until the next frame should be begun. May block for as long as the runtime likes, up to
+    /// [`SessionDesc::wait_patience`]. A frame that was waited for and could not be begun is given again.
     ///
     /// # Errors
-    /// A loss, or a call while no frames are paced.
+    /// A loss, a call while no frames are paced, or [`Error::Hung`].
     pub fn wait(&mut self) -> Result<Frame, Error> {
-        let Self { clock, waiter, .. } = self;
-        let waited = clock.during(|| waiter.wait()).during("xrWaitFrame");
+        if let Some(frame) = self.waited {
+            return Ok(frame);
+        }
+        // On a thread of its own: its time is not this thread's.
+        let waited = self.waiter.wait();
         let state = self.note(waited)?;
         let runtime_now = self.clock.during(|| self.connection.now());
         let prediction = self.guard.check(
@@ -294,7 +322,9 @@ impl Client {
             self.notices.push(Notice::Time(fault));
         }
         self.reported_fault = prediction.fault.is_some();
-        Ok(Frame { prediction, should_render: state.should_render })
+        let frame = Frame { prediction, should_render: state.should_render };
+        self.waited = Some(frame);
+        Ok(frame)
     }
 
     /// Begins the frame that was waited for.
@@ -311,7 +341,7 @@ impl Client {
         if result == sys::Result::FRAME_DISCARDED {
             self.discarded += 1;
         }
-        self.begun = true;
+        self.begun = self.waited.take();
         Ok(())
     }
 
@@ -403,9 +433,31 @@ impl Client {
         self.note(ended)
     }
 
+    /// Ends a frame that was begun, without a picture, where something in between failed.
+    ///
+    /// # Errors
+    /// As [`Self::end`].
+    pub fn drop_frame(&mut self) -> Result<(), Error> {
+        self.begun.map_or(Ok(()), |frame| self.end(&frame, None))
+    }
+
+    /// Lets go of a session whose runtime [hangs](Error::Hung): nothing of it is destroyed, since a call into that runtime
+    /// may not return either. What was drawn is waited for.
+    pub fn abandon(self) {
+        if let Err(error) = self.device.wait_idle() {
+            log::warn!("{error}");
+        }
+        std::mem::forget(self);
+    }
+
+    /// Whether the runtime hangs: then [`Self::abandon`] is the way out.
+    pub const fn is_hung(&self) -> bool {
+        self.waiter.is_hung()
+    }
+
     fn release_and_end(&mut self, frame: &Frame, shown: Option<&Located>) -> Result<(), Error> {
         let Self { clock, session, color, depth, local, pictures, near_m, .. } = self;
-        if !std::mem::take(&mut self.begun) {
+        if self.begun.take().is_none() {
             // The session ended in between: there is no frame to end.
             return Ok(());
         }
@@ -473,22 +525,14 @@ impl Client {
             return Ok(Vec::new());
         }
         let area = |view| {
-            let mask = session
-                .get_visibility_mask_khr(
-                    connection.view_configuration,
-                    view,
-                    openxr::VisibilityMaskTypeKHR::HIDDEN_TRIANGLE_MESH,
-                )
-                .during("xrGetVisibilityMaskKHR")?;
-            let vertices: Vec<[f32; 2]> = mask.vertices.iter().map(|v| [v.x, v.y]).collect();
-            let is_sound = mask.indices.len() % 3 == 0
-                && mask.indices.iter().all(|&index| (index as usize) < vertices.len())
-                && vertices.iter().flatten().all(|x| x.is_finite());
-            if !is_sound {
-                log::warn!("the runtime's visibility mask of view {view} is broken; going on without it");
-                return Ok(HiddenArea::default());
+            match hidden_area(connection, session, view) {
+                // Pixels that nobody sees cost time, not more.
+                Err(error @ Error::Call { .. }) => {
+                    log::warn!("{error}: going on without the visibility mask of view {view}");
+                    Ok(HiddenArea::default())
+                }
+                found => found,
             }
-            Ok(HiddenArea { vertices, indices: mask.indices })
         };
         (0..pictures.views).map(area).collect()
     }
@@ -549,14 +593,20 @@ impl Client {
 
     /// Turns a failure that is a loss into the state as well.
     fn note<T>(&mut self, result: Result<T, Error>) -> Result<T, Error> {
-        if let Err(Error::SessionLost { .. } | Error::InstanceLost { .. }) = &result {
-            if !matches!(self.lifecycle.state(), State::Lost { .. }) {
-                self.lifecycle.on_loss();
-                self.notices.push(Notice::State(self.lifecycle.state()));
-            }
-            self.begun = false;
+        match &result {
+            Err(Error::SessionLost { .. } | Error::InstanceLost { .. }) => self.on_loss(),
+            Err(Error::Hung { .. }) => self.lifecycle.on_hang(),
+            _ => {}
         }
         result
+    }
+
+    fn on_loss(&mut self) {
+        if !matches!(self.lifecycle.state(), State::Lost { .. }) {
+            self.lifecycle.on_loss();
+            self.notices.push(Notice::State(self.lifecycle.state()));
+        }
+        (self.waited, self.begun) = (None, None);
     }
 }
 
@@ -569,6 +619,8 @@ impl Drop for Client {
     }
 }
 
+/// More than any mask has.
+const MOST_MASK_ELEMENTS: u32 = 1_000_000;
 const REFRESH_RATE: &str = "XR_FB_display_refresh_rate";
 
 fn create_session(
@@ -603,9 +655,13 @@ fn choose_pictures(
     device: &Device,
     desc: &SessionDesc<'_>,
 ) -> Result<Pictures, Error> {
-    let offered = session.enumerate_swapchain_formats().during("xrEnumerateSwapchainFormats")?;
+    let enumerate = session.instance().fp().enumerate_swapchain_formats;
+    let offered = list("xrEnumerateSwapchainFormats", 0i64, |capacity, count, items| {
+        // SAFETY: the session lives; `items` is null or has `capacity` elements.
+        unsafe { enumerate(session.as_raw(), capacity, count, items) }
+    })?;
     let choose = |liked: &[vk::Format]| {
-        liked.iter().copied().find(|format| offered.contains(&(format.as_raw() as u32)))
+        liked.iter().copied().find(|format| offered.contains(&i64::from(format.as_raw())))
     };
     let color_format = choose(&COLOR_FORMATS).ok_or_else(|| Error::Unsupported {
         what: "colour formats of swapchains",
@@ -650,6 +706,60 @@ fn choose_refresh_rate(
         Ok(()) => log::info!("asked for {nearest} Hz (wanted {wanted_hz}, offered {rates:?})"),
         Err(result) => log::warn!("the runtime refuses {nearest} Hz: {result}"),
     }
+}
+
+/// What the eye of a view never sees; nothing where the runtime's mesh is none.
+fn hidden_area(
+    connection: &Connection,
+    session: &openxr::Session<openxr::Vulkan>,
+    view: u32,
+) -> Result<HiddenArea, Error> {
+    const CALL: &str = "xrGetVisibilityMaskKHR";
+    let Some(extension) = &session.instance().exts().khr_visibility_mask else {
+        return Ok(HiddenArea::default());
+    };
+    let mut mask = sys::VisibilityMaskKHR {
+        ty: sys::VisibilityMaskKHR::TYPE,
+        next: std::ptr::null_mut(),
+        vertex_capacity_input: 0,
+        vertex_count_output: 0,
+        vertices: std::ptr::null_mut(),
+        index_capacity_input: 0,
+        index_count_output: 0,
+        indices: std::ptr::null_mut(),
+    };
+    let kind = openxr::VisibilityMaskTypeKHR::HIDDEN_TRIANGLE_MESH;
+    let ask = |mask: &mut sys::VisibilityMaskKHR| {
+        // SAFETY: the session lives; the arrays are null or have as many elements as is said.
+        let result = unsafe {
+            (extension.get_visibility_mask)(session.as_raw(), connection.view_configuration, view, kind, mask)
+        };
+        check(CALL, result)
+    };
+    ask(&mut mask)?;
+    if mask.vertex_count_output.max(mask.index_count_output) > MOST_MASK_ELEMENTS {
+        log::warn!("the runtime's visibility mask of view {view} is too large; going on without it");
+        return Ok(HiddenArea::default());
+    }
+    let mut points = vec![openxr::Vector2f::default(); mask.vertex_count_output as usize];
+    let mut indices = vec![0u32; mask.index_count_output as usize];
+    if points.is_empty() || indices.is_empty() {
+        return Ok(HiddenArea::default());
+    }
+    (mask.vertex_capacity_input, mask.vertices) = (mask.vertex_count_output, points.as_mut_ptr());
+    (mask.index_capacity_input, mask.indices) = (mask.index_count_output, indices.as_mut_ptr());
+    ask(&mut mask)?;
+    points.truncate(mask.vertex_count_output as usize);
+    indices.truncate(mask.index_count_output as usize);
+    let vertices: Vec<[f32; 2]> = points.iter().map(|v| [v.x, v.y]).collect();
+    let is_sound = indices.len().is_multiple_of(3)
+        && indices.iter().all(|&index| (index as usize) < vertices.len())
+        && vertices.iter().flatten().all(|x| x.is_finite());
+    if !is_sound {
+        log::warn!("the runtime's visibility mask of view {view} is broken; going on without it");
+        return Ok(HiddenArea::default());
+    }
+    Ok(HiddenArea { vertices, indices })
 }
 
 /// The views of a frame in world coordinates.

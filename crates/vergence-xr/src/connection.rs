@@ -6,9 +6,8 @@ use openxr::sys;
 use vergence_plan::Extension;
 
 use crate::error::{Error, In};
+use crate::list::list;
 
-/// More extensions than any runtime has; a larger count is a fault of the runtime.
-const MOST_EXTENSIONS: u32 = 10_000;
 const STEREO: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_STEREO;
 const MONO: openxr::ViewConfigurationType = openxr::ViewConfigurationType::PRIMARY_MONO;
 
@@ -104,12 +103,7 @@ impl Connection {
         let headset = instance.system_properties(system).during("xrGetSystemProperties")?.system_name;
         let view_configuration = view_configuration(&instance, system)?;
         let views = view_sizes(&instance, system, view_configuration)?;
-        let blend_mode = instance
-            .enumerate_environment_blend_modes(system, view_configuration)
-            .during("xrEnumerateEnvironmentBlendModes")?
-            .first()
-            .copied()
-            .unwrap_or(openxr::EnvironmentBlendMode::OPAQUE);
+        let blend_mode = blend_mode(&instance, system, view_configuration)?;
         Ok(Self {
             instance,
             system,
@@ -169,28 +163,25 @@ fn entry(way: Way) -> Result<openxr::Entry, Error> {
 
 /// Names of the extensions that a runtime and the implicit layers offer.
 fn offered_extensions(entry: &openxr::Entry) -> Result<Vec<String>, Error> {
-    let call = "xrEnumerateInstanceExtensionProperties";
-    let no_runtime = |result| Error::NoRuntime { call, result };
     let enumerate = entry.fp().enumerate_instance_extension_properties;
-    let mut count = 0;
-    // SAFETY: capacity 0 with a null array asks for the count only.
-    let result = unsafe { enumerate(std::ptr::null(), 0, &mut count, std::ptr::null_mut()) };
-    if result.into_raw() < 0 || count > MOST_EXTENSIONS {
-        return Err(no_runtime(result));
-    }
     let empty = sys::ExtensionProperties {
         ty: sys::ExtensionProperties::TYPE,
         next: std::ptr::null_mut(),
         extension_name: [0; sys::MAX_EXTENSION_NAME_SIZE],
         extension_version: 0,
     };
-    let mut properties = vec![empty; count as usize];
-    // SAFETY: the array has `count` initialised elements.
-    let result = unsafe { enumerate(std::ptr::null(), count, &mut count, properties.as_mut_ptr()) };
-    if result.into_raw() < 0 {
-        return Err(no_runtime(result));
-    }
-    properties.truncate(count as usize);
+    let call = "xrEnumerateInstanceExtensionProperties";
+    let properties = list(call, empty, |capacity, count, items| {
+        // SAFETY: `items` is null or has `capacity` initialised elements.
+        unsafe { enumerate(std::ptr::null(), capacity, count, items) }
+    })
+    .map_err(|error| match error {
+        Error::Call { call, result } => Error::NoRuntime { call, result },
+        Error::InstanceLost { call } => {
+            Error::NoRuntime { call, result: sys::Result::ERROR_RUNTIME_UNAVAILABLE }
+        }
+        error => error,
+    })?;
     Ok(properties.iter().map(|p| text(&p.extension_name)).collect())
 }
 
@@ -236,7 +227,11 @@ fn view_configuration(
     instance: &openxr::Instance,
     system: openxr::SystemId,
 ) -> Result<openxr::ViewConfigurationType, Error> {
-    let offered = instance.enumerate_view_configurations(system).during("xrEnumerateViewConfigurations")?;
+    let enumerate = instance.fp().enumerate_view_configurations;
+    let offered = list("xrEnumerateViewConfigurations", STEREO, |capacity, count, items| {
+        // SAFETY: the instance lives; `items` is null or has `capacity` elements.
+        unsafe { enumerate(instance.as_raw(), system, capacity, count, items) }
+    })?;
     [STEREO, MONO].into_iter().find(|wanted| offered.contains(wanted)).ok_or_else(|| Error::Unsupported {
         what: "view configuration",
         expected: "stereo or mono".into(),
@@ -244,14 +239,42 @@ fn view_configuration(
     })
 }
 
+/// The first that is offered: the one that the runtime likes best.
+fn blend_mode(
+    instance: &openxr::Instance,
+    system: openxr::SystemId,
+    view_configuration: openxr::ViewConfigurationType,
+) -> Result<openxr::EnvironmentBlendMode, Error> {
+    const OPAQUE: openxr::EnvironmentBlendMode = openxr::EnvironmentBlendMode::OPAQUE;
+    let enumerate = instance.fp().enumerate_environment_blend_modes;
+    let offered = list("xrEnumerateEnvironmentBlendModes", OPAQUE, |capacity, count, items| {
+        // SAFETY: the instance lives; `items` is null or has `capacity` elements.
+        unsafe { enumerate(instance.as_raw(), system, view_configuration, capacity, count, items) }
+    })?;
+    Ok(offered.first().copied().unwrap_or(OPAQUE))
+}
+
 fn view_sizes(
     instance: &openxr::Instance,
     system: openxr::SystemId,
     view_configuration: openxr::ViewConfigurationType,
 ) -> Result<Vec<ViewSize>, Error> {
-    let views: Vec<ViewSize> = instance
-        .enumerate_view_configuration_views(system, view_configuration)
-        .during("xrEnumerateViewConfigurationViews")?
+    let enumerate = instance.fp().enumerate_view_configuration_views;
+    let empty = sys::ViewConfigurationView {
+        ty: sys::ViewConfigurationView::TYPE,
+        next: std::ptr::null_mut(),
+        recommended_image_rect_width: 0,
+        max_image_rect_width: 0,
+        recommended_image_rect_height: 0,
+        max_image_rect_height: 0,
+        recommended_swapchain_sample_count: 0,
+        max_swapchain_sample_count: 0,
+    };
+    let listed = list("xrEnumerateViewConfigurationViews", empty, |capacity, count, items| {
+        // SAFETY: the instance lives; `items` is null or has `capacity` initialised elements.
+        unsafe { enumerate(instance.as_raw(), system, view_configuration, capacity, count, items) }
+    })?;
+    let views: Vec<ViewSize> = listed
         .iter()
         .map(|view| ViewSize {
             recommended: (view.recommended_image_rect_width, view.recommended_image_rect_height),

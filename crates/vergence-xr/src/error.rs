@@ -66,6 +66,28 @@ pub enum Error {
         /// The call that noticed.
         call: &'static str,
     },
+    /// The runtime contradicts itself; a new session may do better.
+    #[error("{call}: expected {expected}, found {found}")]
+    Contradiction {
+        /// The call.
+        call: &'static str,
+        /// What it said before.
+        expected: String,
+        /// What it says now.
+        found: String,
+    },
+    /// A call does not return. Nothing of the session can be taken down: whoever holds it leaves it as it is
+    /// ([`Client::abandon`](crate::Client::abandon)).
+    #[error(
+        "the OpenXR runtime does not return from {call}: expected an answer within {waited_s} s, found none; restart the \
+         headset's software"
+    )]
+    Hung {
+        /// The call.
+        call: &'static str,
+        /// How long it was waited for, seconds.
+        waited_s: f64,
+    },
     /// A call failed.
     #[error("{call}: {result}")]
     Call {
@@ -84,8 +106,13 @@ impl Error {
     pub const fn state(&self) -> State {
         match self {
             Self::NoRuntime { .. } | Self::NoHeadset { .. } => State::WaitingForRuntime,
-            Self::SessionLost { .. } | Self::InstanceLost { .. } => State::Lost { retry: true },
-            Self::Call { .. } => State::Lost { retry: false },
+            Self::SessionLost { .. } | Self::InstanceLost { .. } | Self::Contradiction { .. } => {
+                State::Lost { retry: true }
+            }
+            Self::Hung { .. } => State::Lost { retry: false },
+            Self::Call { result, .. } if is_refusal(*result) => State::Flat,
+            // What a runtime failed to do once, a new session may be able to do.
+            Self::Call { .. } => State::Lost { retry: true },
             Self::NoLoader { .. }
             | Self::MissingExtension { .. }
             | Self::Unsupported { .. }
@@ -102,6 +129,25 @@ impl Error {
             result => Self::Call { call, result },
         }
     }
+}
+
+/// Whether the runtime says that it never does such a thing, so that asking again is of no use.
+const fn is_refusal(result: sys::Result) -> bool {
+    matches!(
+        result,
+        sys::Result::ERROR_FUNCTION_UNSUPPORTED
+            | sys::Result::ERROR_FEATURE_UNSUPPORTED
+            | sys::Result::ERROR_EXTENSION_NOT_PRESENT
+            | sys::Result::ERROR_EXTENSION_DEPENDENCY_NOT_ENABLED
+            | sys::Result::ERROR_API_VERSION_UNSUPPORTED
+            | sys::Result::ERROR_API_LAYER_NOT_PRESENT
+            | sys::Result::ERROR_FORM_FACTOR_UNSUPPORTED
+            | sys::Result::ERROR_VIEW_CONFIGURATION_TYPE_UNSUPPORTED
+            | sys::Result::ERROR_ENVIRONMENT_BLEND_MODE_UNSUPPORTED
+            | sys::Result::ERROR_REFERENCE_SPACE_UNSUPPORTED
+            | sys::Result::ERROR_SWAPCHAIN_FORMAT_UNSUPPORTED
+            | sys::Result::ERROR_DISPLAY_REFRESH_RATE_UNSUPPORTED_FB
+    )
 }
 
 /// Names the call in the error.

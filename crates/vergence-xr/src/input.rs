@@ -8,6 +8,7 @@ use vergence_time::Timestamp;
 use crate::Connection;
 use crate::convert;
 use crate::error::{Error, In};
+use crate::list::list;
 
 type Session = openxr::Session<openxr::Vulkan>;
 
@@ -172,7 +173,15 @@ impl Input {
         if path == Path::NULL {
             return None;
         }
-        let text = session.instance().path_to_string(path).ok()?;
+        let instance = session.instance();
+        let to_string = instance.fp().path_to_string;
+        let chars = list("xrPathToString", 0, |capacity, count, chars: *mut std::ffi::c_char| {
+            // SAFETY: the instance lives; `chars` is null or has `capacity` elements.
+            unsafe { to_string(instance.as_raw(), path, capacity, count, chars) }
+        })
+        .ok()?;
+        let bytes: Vec<u8> = chars.iter().take_while(|&&c| c != 0).map(|&c| c as u8).collect();
+        let text = String::from_utf8_lossy(&bytes).into_owned();
         let known = PROFILES.iter().find(|profile| profile.path == text);
         Some(known.map_or(text, |profile| profile.name.to_owned()))
     }

@@ -34,12 +34,14 @@ mod error;
 mod event;
 mod hands;
 mod input;
+mod list;
 mod located;
 mod runtime_clock;
 mod state;
 mod swapchain;
 mod time_guard;
 mod vulkan;
+mod waiter;
 
 pub use client::{Attachments, Client, Frame, HiddenArea, Pictures, SessionDesc, in_world};
 pub use connection::{Connection, Description, EmbeddedRuntime, ViewSize, Way};

@@ -128,9 +128,9 @@ impl Lifecycle {
         self.state = State::Lost { retry: true };
     }
 
-    /// The runtime did not let the session run.
-    pub(crate) fn on_begin_failed(&mut self) {
-        self.state = State::Idle;
+    /// The runtime does not answer any more.
+    pub(crate) fn on_hang(&mut self) {
+        self.state = State::Lost { retry: false };
     }
 }
 

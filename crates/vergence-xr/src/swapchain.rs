@@ -9,6 +9,7 @@ use vergence_gpu::{
 };
 
 use crate::error::{Error, In, check};
+use crate::list::list;
 
 /// How long to wait for an image that the compositor still reads.
 const PATIENCE_NS: i64 = 2_000_000_000;
@@ -74,8 +75,18 @@ impl Swapchain {
                 mip_count: 1,
             })
             .during("xrCreateSwapchain")?;
-        let mut views = Vec::new();
-        for image in raw.enumerate_images().during("xrEnumerateSwapchainImages")? {
+        let enumerate = session.instance().fp().enumerate_swapchain_images;
+        let empty = sys::SwapchainImageVulkanKHR {
+            ty: sys::SwapchainImageVulkanKHR::TYPE,
+            next: std::ptr::null_mut(),
+            image: 0,
+        };
+        let images = list("xrEnumerateSwapchainImages", empty, |capacity, count, items| {
+            // SAFETY: the swapchain lives; `items` is null or has `capacity` initialised elements, of the type for Vulkan.
+            unsafe { enumerate(raw.as_raw(), capacity, count, items.cast()) }
+        })?;
+        let mut views = Vec::with_capacity(images.len());
+        for image in images.into_iter().map(|image| image.image) {
             let image_desc = ImageDesc {
                 name: desc.name,
                 format: desc.format,
@@ -134,9 +145,9 @@ impl Swapchain {
             }
             self.held = Some(Held { waited: true, ..held });
         }
-        let view = self.views.get(held.index as usize).ok_or_else(|| Error::Unsupported {
-            what: "index of a swapchain image",
-            expected: format!("below {}", self.views.len()),
+        let view = self.views.get(held.index as usize).ok_or_else(|| Error::Contradiction {
+            call: "xrAcquireSwapchainImage",
+            expected: format!("an index below {}, as many images as there are", self.views.len()),
             found: held.index.to_string(),
         })?;
         Ok(Some(view))
@@ -144,13 +155,16 @@ impl Swapchain {
 
     /// Gives the image to the compositor; one that it has not let go of stays held.
     pub(crate) fn release(&mut self) -> Result<(), Error> {
-        if self.held.take_if(|held| held.waited).is_none() {
+        if !self.held.is_some_and(|held| held.waited) {
             return Ok(());
         }
         // SAFETY: the swapchain lives and has an image that is acquired and waited for; null info is allowed.
         let result =
             unsafe { (self.instance.fp().release_swapchain_image)(self.raw.as_raw(), std::ptr::null()) };
-        check("xrReleaseSwapchainImage", result).map(|_| ())
+        check("xrReleaseSwapchainImage", result)?;
+        // One that the runtime did not take back is still ours.
+        self.held = None;
+        Ok(())
     }
 
     /// One layer of the image that was released last, for a composition layer.

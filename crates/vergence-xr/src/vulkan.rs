@@ -13,22 +13,38 @@ use vergence_gpu::{
     vk::{self, Handle},
 };
 
-use crate::Connection;
+use crate::{Connection, Error};
 
 /// Has the runtime of a connection make Vulkan's instance and device.
 pub struct Creator<'a> {
     connection: &'a Connection,
+    /// The call that the runtime refused.
+    refused: Option<(&'static str, openxr::sys::Result)>,
+}
+
+impl Creator<'_> {
+    /// What an error of the graphics device means for the headset: where the runtime refused a call, the error of that
+    /// call, which may be a loss.
+    pub fn explain(&self, error: GpuError) -> Error {
+        match (error, self.refused) {
+            (GpuError::Creator { .. }, Some((call, result))) => Error::of(call, result),
+            (error, _) => Error::Gpu(error),
+        }
+    }
+
+    fn refused(&mut self, call: &'static str) -> impl FnOnce(openxr::sys::Result) -> GpuError {
+        move |result| {
+            self.refused = Some((call, result));
+            GpuError::creator(call, result.to_string())
+        }
+    }
 }
 
 impl Connection {
     /// Who makes the Vulkan instance and device for this headset.
     pub const fn vulkan_creator(&self) -> Creator<'_> {
-        Creator { connection: self }
+        Creator { connection: self, refused: None }
     }
-}
-
-fn refused(call: &'static str) -> impl Fn(openxr::sys::Result) -> GpuError {
-    move |result| GpuError::creator(call, result.to_string())
 }
 
 fn failed(call: &'static str) -> impl Fn(i32) -> GpuError {
@@ -139,7 +155,7 @@ unsafe impl VulkanCreator for Creator<'_> {
         // The specification wants the requirements asked for first.
         let requirements = instance
             .graphics_requirements::<openxr::Vulkan>(*system)
-            .map_err(refused("xrGetVulkanGraphicsRequirements2KHR"))?;
+            .map_err(self.refused("xrGetVulkanGraphicsRequirements2KHR"))?;
         if requirements.min_api_version_supported > openxr::Version::new(1, 3, u32::MAX) {
             let found = format!("expected a runtime that takes Vulkan 1.3, found {requirements:?}");
             return Err(GpuError::creator("xrGetVulkanGraphicsRequirements2KHR", found));
@@ -148,7 +164,7 @@ unsafe impl VulkanCreator for Creator<'_> {
         // SAFETY: the caller guarantees the create info; the requirements have been asked for.
         let made = unsafe { instance.create_vulkan_instance(*system, loader(get_instance_proc_addr), info) };
         let made: VkInstance = made
-            .map_err(refused("xrCreateVulkanInstanceKHR"))?
+            .map_err(self.refused("xrCreateVulkanInstanceKHR"))?
             .map_err(failed("vkCreateInstance, called by the OpenXR runtime"))?;
         Ok(vk::Instance::from_raw(handle(made)))
     }
@@ -158,7 +174,7 @@ unsafe impl VulkanCreator for Creator<'_> {
         // SAFETY: `instance` was made by `create_instance` above.
         let found: VkPhysicalDevice =
             unsafe { xr.vulkan_graphics_device(*system, pointer(instance.as_raw())) }
-                .map_err(refused("xrGetVulkanGraphicsDevice2KHR"))?;
+                .map_err(self.refused("xrGetVulkanGraphicsDevice2KHR"))?;
         Ok(vk::PhysicalDevice::from_raw(handle(found)))
     }
 
@@ -180,7 +196,7 @@ unsafe impl VulkanCreator for Creator<'_> {
             )
         };
         let made = made
-            .map_err(refused("xrCreateVulkanDeviceKHR"))?
+            .map_err(self.refused("xrCreateVulkanDeviceKHR"))?
             .map_err(failed("vkCreateDevice, called by the OpenXR runtime"))?;
         Ok(vk::Device::from_raw(handle(made)))
     }

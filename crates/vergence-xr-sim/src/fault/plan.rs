@@ -51,6 +51,11 @@ impl FaultPlan {
         Self(Some(Arc::new(Watched { faults: faults.into_iter().collect(), done: Mutex::default() })))
     }
 
+    /// Whether nothing is planned.
+    pub fn is_empty(&self) -> bool {
+        self.0.as_ref().is_none_or(|watched| watched.faults.is_empty())
+    }
+
     /// How often each entry point was called.
     pub fn calls(&self) -> BTreeMap<&'static str, u64> {
         self.0.as_ref().map(|watched| watched.done().calls.clone()).unwrap_or_default()

@@ -1,0 +1,332 @@
+//! Whatever the runtime does, at whichever call: no panic, no hang, and a typed end that the table below says.
+//!
+//! Every entry point that the client calls, with every result that the registry documents for it and every bad value, at its
+//! first, its second and a late call. A whole run each: scene, device, session, a dozen frames. Which cells were reached,
+//! which not, and which passed is printed.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, mpsc};
+use std::time::{Duration, Instant};
+
+use vergence_geom::{Affine, Rigid};
+use vergence_scene::Scene;
+use vergence_scene::model::{Local, Material, Mesh, Node, Primitive, Shading, Touchable};
+use vergence_session::{Error, Fault, FaultPlan, HeadsetChoice, RunConfig, run};
+use vergence_xr::State;
+use vergence_xr_sim::fault;
+
+/// Frames of a run.
+const FRAMES: u64 = 12;
+/// A cell that takes longer hangs.
+const WATCHDOG: Duration = Duration::from_secs(10);
+/// For `HANG`: how long the client itself waits.
+const HANG_S: f64 = 0.5;
+/// Runs at a time.
+const WORKERS: usize = 2;
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum End {
+    /// All frames were shown, in one session.
+    On,
+    /// All frames were shown, after a new session or instance.
+    Anew,
+    /// No headset that can be used.
+    Flat,
+    /// A runtime or headset may come.
+    Waiting,
+    /// Given up.
+    Lost,
+}
+
+/// The table: how a run ends after a fault.
+fn expected(entry_point: &str, what: &str, call: u64) -> End {
+    let lost = matches!(what, "ERROR_SESSION_LOST" | "ERROR_INSTANCE_LOST" | "ERROR_RUNTIME_UNAVAILABLE");
+    let refusal = what.ends_with("_UNSUPPORTED") || what.ends_with("_NOT_PRESENT");
+    let is_error = what.starts_with("ERROR_");
+    if what == "HANG" {
+        return End::Lost;
+    }
+    match entry_point {
+        // OpenXR 1.1 is asked for first, then 1.0.
+        "xrCreateInstance" if what == "ERROR_API_VERSION_UNSUPPORTED" && call == 1 => End::On,
+        // Whoever lacks one of these functions is no runtime.
+        "xrGetInstanceProcAddr" | "xrCreateInstance" if is_error => End::Waiting,
+        "xrEnumerateInstanceExtensionProperties" => match what {
+            "ERROR_SIZE_INSUFFICIENT" | "COUNT_GROWS" | "COUNT_SHRINKS" => End::On,
+            "NOTHING" => End::Flat,
+            _ => End::Waiting,
+        },
+        "xrGetSystem" if what.starts_with("ERROR_FORM_FACTOR") => End::Waiting,
+        // What is only asked for people, or to save time, is not missed.
+        "xrGetCurrentInteractionProfile"
+        | "xrPathToString"
+        | "xrGetDisplayRefreshRateFB"
+        | "xrConvertTimespecTimeToTimeKHR" => End::On,
+        "xrGetVisibilityMaskKHR" | "xrSuggestInteractionProfileBindings" if !lost => End::On,
+        // Nothing can be done about what is taken down.
+        name if name.starts_with("xrDestroy") => End::On,
+        "xrEndSession" | "xrRequestExitSession" => End::On,
+        _ if lost => End::Anew,
+        // A shorter list than the headset's is a headset that cannot be used.
+        "xrEnumerateViewConfigurations" | "xrEnumerateViewConfigurationViews"
+            if what == "NOTHING" || (what == "COUNT_SHRINKS" && call == 2) =>
+        {
+            End::Flat
+        }
+        "xrEnumerateSwapchainFormats" | "xrEnumerateSwapchainImages" if what == "NOTHING" => End::Flat,
+        // An image is handed out that is not in the list.
+        "xrEnumerateSwapchainImages" if what == "COUNT_SHRINKS" && call.is_multiple_of(2) => End::Anew,
+        _ if !is_error || what == "ERROR_SIZE_INSUFFICIENT" => End::On,
+        // A frame in which something fails is left out.
+        "xrPollEvent"
+        | "xrWaitFrame"
+        | "xrBeginFrame"
+        | "xrEndFrame"
+        | "xrLocateViews"
+        | "xrLocateSpace"
+        | "xrAcquireSwapchainImage"
+        | "xrWaitSwapchainImage"
+        | "xrReleaseSwapchainImage"
+        | "xrSyncActions"
+        | "xrGetActionStateBoolean"
+        | "xrGetActionStateFloat"
+        | "xrGetActionStateVector2f"
+        | "xrGetActionStatePose"
+        | "xrApplyHapticFeedback"
+        | "xrStopHapticFeedback" => End::On,
+        // A path that is only suggested may be unknown to the runtime; those of the hands may not.
+        "xrStringToPath" if call > 2 => End::On,
+        // What the runtime says that it never does is not asked for again; what failed is.
+        _ if refusal => End::Flat,
+        _ => End::Anew,
+    }
+}
+
+/// A floor that the hands point at, so that they feel something.
+fn floor() -> Arc<Scene> {
+    let corners = [[-9.0, 0.0, -9.0], [-9.0, 0.0, 9.0], [9.0, 0.0, 9.0], [9.0, 0.0, -9.0]];
+    let primitive = Primitive {
+        positions: corners.to_vec(),
+        normals: vec![[0.0, 1.0, 0.0]; 4],
+        indices: vec![0, 1, 2, 0, 2, 3],
+        ..Primitive::default()
+    };
+    Arc::new(Scene {
+        name: "floor".into(),
+        nodes: vec![Node {
+            name: "floor".into(),
+            parent: None,
+            parent_from_node: Local::Matrix(Affine::from(Rigid::identity())),
+            mesh: Some(0),
+            skin: None,
+            light: None,
+            camera: None,
+            label: None,
+        }],
+        meshes: vec![Mesh { name: "floor".into(), primitives: vec![primitive] }],
+        materials: vec![Material { shading: Shading::Unlit, ..Material::default() }],
+        world_from_start: Some(Rigid::identity()),
+        touchables: vec![Touchable { name: "floor".into(), node: 0 }],
+        ..Scene::default()
+    })
+}
+
+fn has_vulkan() -> bool {
+    let required =
+        std::env::var("VERGENCE_REQUIRE").unwrap_or_default().split(',').any(|r| r.trim() == "vulkan");
+    let instance = vergence_gpu::Instance::new(&vergence_gpu::InstanceDesc::default(), None);
+    let device =
+        instance.and_then(|i| vergence_gpu::Device::new(&i, &vergence_gpu::DeviceDesc::default(), None));
+    match device {
+        Ok(_) => true,
+        Err(error) if required => panic!("VERGENCE_REQUIRE names vulkan, but: {error}"),
+        Err(error) => {
+            println!("skipped: no Vulkan device ({error})");
+            false
+        }
+    }
+}
+
+/// The smallest headset.
+fn profile(folder: &std::path::Path) -> PathBuf {
+    let path = folder.join("tiny.toml");
+    let text = "name = \"tiny\"\nresolution = [8, 8]\nrates = [\"90 Hz\"]\nipd = \"63 mm\"\n[left]\n\
+                fov = { left = \"-45 deg\", right = \"45 deg\", up = \"45 deg\", down = \"-45 deg\" }\n";
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+fn config(profile: &std::path::Path, faults: FaultPlan, hang_s: f64) -> RunConfig {
+    RunConfig {
+        headset: HeadsetChoice::Simulated,
+        profile: Some(profile.to_str().unwrap().to_owned()),
+        frames: Some(FRAMES),
+        quality: vergence_render::Quality { msaa: 1, ..Default::default() },
+        faults,
+        hang_s,
+        ..RunConfig::default()
+    }
+}
+
+#[derive(Clone, Debug)]
+struct Cell {
+    entry_point: &'static str,
+    what: String,
+    call: u64,
+}
+
+#[derive(Debug)]
+enum Outcome {
+    Unreached,
+    Ended(End, String),
+    Wrong(String),
+}
+
+/// Runs a cell on a thread of its own: the runtime is configured per thread, and what hangs is left behind.
+fn play(scene: &Arc<Scene>, profile: &std::path::Path, cell: &Cell) -> Outcome {
+    let fault = Fault::parse(&format!("{}={}@{}", cell.entry_point, cell.what, cell.call)).unwrap();
+    let plan = FaultPlan::new([fault]);
+    let hang_s = if cell.what == "HANG" { HANG_S } else { 9.0 };
+    let (scene, config) = (Arc::clone(scene), config(profile, plan.clone(), hang_s));
+    let (send, receive) = mpsc::channel();
+    std::thread::spawn(move || {
+        let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+            let said = Mutex::new(Vec::new());
+            let result = run(&scene, &config, &mut |happening| {
+                if let vergence_session::Happening::Said(sentence) = happening {
+                    said.lock().unwrap().push(sentence.to_owned());
+                }
+            });
+            (result, said.into_inner().unwrap())
+        }));
+        let _ = send.send(result);
+    });
+    let (result, said) = match receive.recv_timeout(WATCHDOG) {
+        Ok(Ok(ended)) => ended,
+        Ok(Err(_)) => return Outcome::Wrong("panicked".into()),
+        Err(_) => return Outcome::Wrong("hung".into()),
+    };
+    if plan.hits().is_empty() {
+        return Outcome::Unreached;
+    }
+    match result {
+        Ok(report) if report.frames != FRAMES || report.state != "exiting" => {
+            Outcome::Wrong(format!("ended {} after {} frames", report.state, report.frames))
+        }
+        Ok(report) if report.losses == 0 => Outcome::Ended(End::On, String::new()),
+        Ok(report) if report.losses == 1 => {
+            let sentence = said.iter().find(|sentence| sentence.contains("anew")).cloned();
+            sentence.map_or(Outcome::Wrong("not a word".into()), |s| Outcome::Ended(End::Anew, s))
+        }
+        Ok(report) => Outcome::Wrong(format!("lost {} times", report.losses)),
+        Err(Error::Headset(error)) => {
+            let end = match error.state() {
+                State::Flat => End::Flat,
+                State::WaitingForRuntime => End::Waiting,
+                State::Lost { retry: false } => End::Lost,
+                state => return Outcome::Wrong(format!("{error} ({state:?})")),
+            };
+            Outcome::Ended(end, error.to_string())
+        }
+        Err(error) => Outcome::Wrong(format!("{error:?}")),
+    }
+}
+
+#[test]
+fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
+    if !has_vulkan() {
+        return;
+    }
+    let started = Instant::now();
+    let folder = std::env::temp_dir().join(format!("vergence-faults-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let (scene, profile) = (floor(), profile(&folder));
+
+    // What a run without faults calls.
+    let counted = FaultPlan::new([]);
+    let report = run(&scene, &config(&profile, counted.clone(), 9.0), &mut |_| {}).unwrap();
+    assert_eq!((report.frames, report.losses), (FRAMES, 0));
+    let calls: BTreeMap<&str, u64> = counted.calls();
+    println!("a run without faults takes {:?} and calls:", started.elapsed());
+    for (entry_point, count) in &calls {
+        println!("    {count:>5} x {entry_point}");
+    }
+    let never: Vec<&str> = fault::entry_points().filter(|name| !calls.contains_key(name)).collect();
+    println!("the client never calls: {}", never.join(", "));
+
+    let mut cells = Vec::new();
+    for (&entry_point, &count) in &calls {
+        let late = (count * 6 / 10).max(3);
+        let mut what = fault::documented(entry_point);
+        what.extend(fault::bad_values(entry_point));
+        if entry_point == "xrWaitFrame" {
+            what.push("HANG".into());
+        }
+        for what in what {
+            for call in [1, 2, late] {
+                cells.push(Cell { entry_point, what: what.clone(), call });
+            }
+        }
+    }
+    if let Ok(only) = std::env::var("VERGENCE_FAULTS_ONLY") {
+        cells.retain(|cell| format!("{}={}@{}", cell.entry_point, cell.what, cell.call).contains(&only));
+    }
+
+    let next = AtomicUsize::new(0);
+    let outcomes: Mutex<Vec<(Cell, Outcome)>> = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for _ in 0..WORKERS {
+            scope.spawn(|| {
+                while let Some(cell) = cells.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    // A fault at the nth call changes nothing before it.
+                    let reachable = cell.call <= calls[cell.entry_point];
+                    let outcome = if reachable { play(&scene, &profile, cell) } else { Outcome::Unreached };
+                    if let Outcome::Wrong(why) = &outcome {
+                        println!("{}={}@{}: {why}", cell.entry_point, cell.what, cell.call);
+                    }
+                    outcomes.lock().unwrap().push((cell.clone(), outcome));
+                }
+            });
+        }
+    });
+    let _ = std::fs::remove_dir_all(&folder);
+
+    let mut outcomes = outcomes.into_inner().unwrap();
+    outcomes
+        .sort_by(|(a, _), (b, _)| (a.entry_point, &a.what, a.call).cmp(&(b.entry_point, &b.what, b.call)));
+    let (mut ends, mut unreached, mut wrong) = (BTreeMap::<End, usize>::new(), Vec::new(), Vec::new());
+    for (cell, outcome) in &outcomes {
+        let name = format!("{}={}@{}", cell.entry_point, cell.what, cell.call);
+        match outcome {
+            Outcome::Unreached => unreached.push(name),
+            Outcome::Ended(end, sentence) => {
+                let expected = expected(cell.entry_point, &cell.what, cell.call);
+                if *end == expected {
+                    *ends.entry(*end).or_default() += 1;
+                } else {
+                    wrong.push(format!("{name}: expected {expected:?}, found {end:?} {sentence}"));
+                }
+            }
+            Outcome::Wrong(why) => wrong.push(format!("{name}: {why}")),
+        }
+    }
+    println!("unreached: {}", unreached.join(" "));
+    for line in &wrong {
+        println!("FAILED {line}");
+    }
+    let (all, reached) = (outcomes.len(), outcomes.len() - unreached.len());
+    println!(
+        "{all} cells of {} entry points: {reached} reached, {} unreached, {} passed {ends:?}, {} failed, in {:.0} s",
+        calls.len(),
+        unreached.len(),
+        reached - wrong.len(),
+        wrong.len(),
+        started.elapsed().as_secs_f64()
+    );
+    assert!(wrong.is_empty(), "{} cells failed", wrong.len());
+}
