@@ -59,6 +59,8 @@ impl Default for Config {
     }
 }
 
+static PROCESS: Mutex<Option<Arc<Config>>> = Mutex::new(None);
+
 thread_local! {
     static CONFIGURED: RefCell<Option<Arc<Config>>> = const { RefCell::new(None) };
 }
@@ -74,8 +76,17 @@ impl Runtime {
         CONFIGURED.set(Some(Arc::new(config)));
     }
 
+    /// Sets what every OpenXR instance is that is created from now on by a thread for which nothing else
+    /// [is set](Self::configure): where the runtime is a library, whoever creates instances knows nothing of it.
+    pub fn configure_process(config: Config) {
+        *PROCESS.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::new(config));
+    }
+
     pub(crate) fn configured() -> Arc<Config> {
-        CONFIGURED.with_borrow_mut(|configured| configured.get_or_insert_with(Default::default).clone())
+        let of_process = || PROCESS.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        CONFIGURED.with_borrow(Clone::clone).or_else(of_process).unwrap_or_else(|| {
+            CONFIGURED.with_borrow_mut(|own| own.get_or_insert_with(Default::default).clone())
+        })
     }
 }
 
