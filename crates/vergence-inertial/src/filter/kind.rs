@@ -2,7 +2,7 @@ use vergence_time::Span;
 
 use super::{
     Complementary, ComplementaryParams, Filter, Integration, Limits, Madgwick, MadgwickParams, Mahony,
-    MahonyParams, Stream, Vqf, VqfParams,
+    MahonyParams, Stream, Vergence, VergenceParams, Vqf, VqfParams,
 };
 
 /// Which sensors are read.
@@ -29,12 +29,21 @@ pub enum Kind {
     VqfBasic,
     /// VQF.
     Vqf,
+    /// Our own.
+    Vergence,
 }
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; 6] =
-        [Self::Integration, Self::Complementary, Self::Madgwick, Self::Mahony, Self::VqfBasic, Self::Vqf];
+    pub const ALL: [Self; 7] = [
+        Self::Integration,
+        Self::Complementary,
+        Self::Madgwick,
+        Self::Mahony,
+        Self::VqfBasic,
+        Self::Vqf,
+        Self::Vergence,
+    ];
 
     /// The name in configuration and on the command line.
     pub const fn name(self) -> &'static str {
@@ -45,6 +54,7 @@ impl Kind {
             Self::Mahony => "mahony",
             Self::VqfBasic => "vqf-basic",
             Self::Vqf => "vqf",
+            Self::Vergence => "vergence",
         }
     }
 
@@ -73,6 +83,12 @@ impl Kind {
                 Box::new(Stream::new(Vqf::new(VqfParams::BASIC, period_s), axes, period, limits))
             }
             Self::Vqf => Box::new(Stream::new(Vqf::new(VqfParams::FULL, period_s), axes, period, limits)),
+            Self::Vergence => Box::new(Stream::new(
+                Vergence::new(VergenceParams::default(), period_s),
+                axes,
+                period,
+                limits,
+            )),
         }
     }
 }

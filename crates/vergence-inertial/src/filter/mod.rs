@@ -9,12 +9,15 @@
 mod complementary;
 mod guard;
 mod integration;
+mod kalman;
 mod kind;
 mod low_pass;
 mod madgwick;
 mod mahony;
+mod offline;
 mod saved;
 pub mod turn;
+mod vergence;
 mod vqf;
 
 pub use complementary::{Complementary, ComplementaryParams};
@@ -24,7 +27,9 @@ pub use kind::{Axes, Kind};
 pub use low_pass::{LowPass, LowPassCoefficients};
 pub use madgwick::{Madgwick, MadgwickParams};
 pub use mahony::{Mahony, MahonyParams};
+pub use offline::offline;
 pub use saved::Saved;
+pub use vergence::{Vergence, VergenceCoefficients, VergenceParams, VergenceState};
 pub use vqf::{Vqf, VqfCoefficients, VqfParams, VqfState};
 
 use nalgebra::{UnitQuaternion, Vector3};

@@ -1,0 +1,239 @@
+//! `vergence`: our own filter. See [`Vergence`].
+
+mod field;
+mod params;
+mod rates;
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::low_pass::LowPass;
+use super::saved::saved;
+use super::turn::{level, renormalised, turn};
+use super::{Clean, Core};
+use field::{Field, FieldWindow};
+use rates::{Rates, TiltWindow};
+
+pub use params::{VergenceCoefficients, VergenceParams};
+
+/// Below this length the low-passed specific force says nothing about up, metres per second squared: free fall.
+const NO_GRAVITY: f64 = 1.0;
+
+/// All that changes from sample to sample.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VergenceState {
+    inertial_from_sensor: UnitQuaternion<f64>,
+    level_from_inertial: UnitQuaternion<f64>,
+    earth_from_level: UnitQuaternion<f64>,
+    /// The newest corrected rate, by which the answer is turned on.
+    rate: Vector3<f64>,
+    rates: Rates,
+    field: Field,
+    acc_low: LowPass<3>,
+    rest_gyr_low: LowPass<3>,
+    rest_acc_low: LowPass<3>,
+    rest_s: f64,
+    rested: bool,
+    samples: f64,
+    /// Samples of the window that had a specific force.
+    tilted: f64,
+    tilt_window: TiltWindow,
+    field_window: FieldWindow,
+}
+
+saved!(VergenceState {
+    inertial_from_sensor,
+    level_from_inertial,
+    earth_from_level,
+    rate,
+    rates,
+    field,
+    acc_low,
+    rest_gyr_low,
+    rest_acc_low,
+    rest_s,
+    rested,
+    samples,
+    tilted,
+    tilt_window,
+    field_window,
+});
+
+/// Our own filter. The tilt is found as in VQF: the accelerometer low-passed in an almost inertial frame, where the motion's
+/// acceleration averages out. What is different:
+///
+/// - **The sensors' lag is taken out**: the answer is for now, not for when the reading was true.
+/// - **Scale and cross-axis errors of the gyroscope are learned** with its bias, from the tilt that they cause (12 unknowns,
+///   corrected ten times a second). What is learned about an axis while it lies also serves when it stands: the heading's
+///   drift, which gravity does not see.
+/// - **Field and offset of the magnetometer are learned together** (6 unknowns): a magnet on the device is an offset that turns
+///   with it, the earth's field is not. The heading follows the field's estimate. A deviation that stays with the sensor is
+///   a magnet attached or removed, and only the offset follows; one that does not is a magnet in the room, and has little weight.
+#[derive(Clone, Debug)]
+pub struct Vergence {
+    params: VergenceParams,
+    coefficients: VergenceCoefficients,
+    state: VergenceState,
+}
+
+impl Vergence {
+    /// A filter at its start, for samples every `period_s` seconds.
+    pub fn new(params: VergenceParams, period_s: f64) -> Self {
+        let coefficients = VergenceCoefficients::new(&params, period_s);
+        let state = VergenceState {
+            inertial_from_sensor: UnitQuaternion::identity(),
+            level_from_inertial: UnitQuaternion::identity(),
+            earth_from_level: UnitQuaternion::identity(),
+            rate: Vector3::zeros(),
+            rates: Rates::new(&params, &coefficients),
+            field: Field::new(&params),
+            acc_low: LowPass::default(),
+            rest_gyr_low: LowPass::default(),
+            rest_acc_low: LowPass::default(),
+            rest_s: 0.0,
+            rested: true,
+            samples: 0.0,
+            tilted: 0.0,
+            tilt_window: TiltWindow::default(),
+            field_window: FieldWindow::default(),
+        };
+        Self { params, coefficients, state }
+    }
+
+    /// A filter with other parameters that starts with what this one learned about the sensors; with `backwards`, for the same
+    /// recording from its end.
+    pub(crate) fn learned(&self, params: VergenceParams, backwards: bool) -> Self {
+        let mut next = Self::new(params, self.coefficients.period_s);
+        let s = &mut next.state;
+        if backwards {
+            s.rates = self.state.rates.reversed(&next.coefficients);
+        } else {
+            s.rates = self.state.rates.clone();
+            s.rates.lost(0.0, &next.coefficients);
+        }
+        s.field = self.state.field.clone();
+        s.field.lost();
+        next
+    }
+
+    /// Offset of the magnetometer as far as it is known, microteslas, sensor frame.
+    pub fn mag_offset_ut(&self) -> Vector3<f64> {
+        self.state.field.estimate.x.fixed_rows::<3>(3).into_owned()
+    }
+
+    #[inline]
+    fn rest(&mut self, gyr: &Vector3<f64>, acc: &Vector3<f64>) -> Vector3<f64> {
+        let (s, c) = (&mut self.state, &self.coefficients);
+        let gyr_mean = s.rest_gyr_low.step(gyr, &c.rest);
+        let acc_mean = s.rest_acc_low.step(acc, &c.rest);
+        let moves = (gyr - gyr_mean).norm_squared() > c.rest_gyr_squared
+            || (acc - acc_mean).norm_squared() > c.rest_acc_squared
+            || gyr_mean.amax() > c.bias_limit;
+        s.rest_s = if moves { 0.0 } else { s.rest_s + c.period_s };
+        s.rested &= s.rest_s >= self.params.rest_min_s;
+        gyr_mean
+    }
+
+    fn end_window(&mut self, gyr_mean: &Vector3<f64>) {
+        let (s, p, c) = (&mut self.state, &self.params, &self.coefficients);
+        // A window with holes says what it says about fewer samples; it is not used.
+        if s.tilted >= c.window {
+            s.rates.learn(&s.tilt_window, s.rested, gyr_mean, p, c);
+        }
+        if s.field_window.samples >= 0.5 * c.window {
+            s.field.learn(&s.field_window, s.rested, p, c);
+            s.earth_from_level = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), s.field.heading_rad());
+        }
+        s.tilt_window = TiltWindow::default();
+        s.field_window = FieldWindow::default();
+        s.samples = 0.0;
+        s.tilted = 0.0;
+        s.rested = true;
+    }
+}
+
+/// A reading of a fixed direction as it is now, when it was true `lag_s` ago.
+#[inline]
+fn caught_up(reading: &Vector3<f64>, rate: &Vector3<f64>, lag_s: f64) -> Vector3<f64> {
+    reading - rate.cross(reading) * lag_s
+}
+
+impl Core for Vergence {
+    type State = VergenceState;
+
+    #[inline]
+    fn step(&mut self, sample: &Clean) {
+        let (s, c) = (&mut self.state, &self.coefficients);
+        let rate = s.rates.corrected(&sample.gyr_rad_s);
+        s.rate = rate;
+        s.inertial_from_sensor =
+            renormalised(s.inertial_from_sensor.into_inner() * turn(&(rate * sample.step_s)));
+        s.samples += 1.0;
+        let inertial = s.inertial_from_sensor.to_rotation_matrix();
+        let Some(acc) = &sample.acc_m_s2 else {
+            s.rest_s = 0.0;
+            s.rested = false;
+            if s.samples >= c.window {
+                self.end_window(&Vector3::zeros());
+            }
+            return;
+        };
+        let acc_now = caught_up(acc, &rate, self.params.acc_lag_s);
+        let acc_inertial = inertial * acc_now;
+        let mean = s.acc_low.step(&acc_inertial, &c.acc);
+        let up = s.level_from_inertial * mean;
+        let length = up.norm();
+        if length > NO_GRAVITY {
+            let up = up / length;
+            s.level_from_inertial = renormalised(level(&up) * s.level_from_inertial.into_inner());
+            let level = s.level_from_inertial.to_rotation_matrix();
+            let r = (level * inertial).into_inner();
+            s.tilt_window.add(&r, &sample.gyr_rad_s, &up, &(level * acc_inertial));
+            s.tilted += 1.0;
+            if let Some(mag) = &sample.mag_ut {
+                s.field_window.add(
+                    &r,
+                    &caught_up(mag, &rate, self.params.mag_lag_s),
+                    sample.gyr_rad_s.norm(),
+                );
+            }
+        }
+        let gyr_mean = self.rest(&sample.gyr_rad_s, acc);
+        if self.state.samples >= self.coefficients.window {
+            self.end_window(&gyr_mean);
+        }
+    }
+
+    fn lost(&mut self, gap_s: f64) {
+        let (s, c) = (&mut self.state, &self.coefficients);
+        s.acc_low = LowPass::default();
+        s.rest_gyr_low = LowPass::default();
+        s.rest_acc_low = LowPass::default();
+        s.rest_s = 0.0;
+        s.rested = false;
+        s.samples = 0.0;
+        s.tilted = 0.0;
+        s.tilt_window = TiltWindow::default();
+        s.field_window = FieldWindow::default();
+        s.rates.lost(gap_s, c);
+        s.field.lost();
+    }
+
+    #[inline]
+    fn earth_from_sensor(&self) -> UnitQuaternion<f64> {
+        let s = &self.state;
+        let now = s.inertial_from_sensor.into_inner() * turn(&(s.rate * self.coefficients.ahead_s));
+        renormalised(s.earth_from_level.into_inner() * s.level_from_inertial.into_inner() * now)
+    }
+
+    fn gyro_bias_rad_s(&self) -> Vector3<f64> {
+        self.state.rates.bias()
+    }
+
+    fn state(&self) -> &VergenceState {
+        &self.state
+    }
+
+    fn set_state(&mut self, state: VergenceState) {
+        self.state = state;
+    }
+}

@@ -1,0 +1,173 @@
+//! Errors of the gyroscope, learned from what they tilt.
+
+use nalgebra::{Matrix3, SVector, Vector3};
+
+use super::params::{VergenceCoefficients, VergenceParams};
+use crate::filter::kalman::Estimate;
+use crate::filter::low_pass::LowPass;
+use crate::filter::saved::saved;
+
+/// Bias (3), then scale and cross-axis factors (9, row by row): the true rate is `w − b − M w`.
+const N: usize = 12;
+
+/// Largest scale or cross-axis factor: worse gyroscopes are broken.
+const FACTOR_LIMIT: f64 = 0.05;
+
+/// How much the factors wander, per second (variance): 0.1 % in half an hour.
+const FACTOR_WANDER: f64 = 1e-6 / 1800.0;
+
+/// Bias and factors, how well they are known, and the regressors in the low-pass that the accelerometer goes through.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rates {
+    pub(super) estimate: Estimate<N>,
+    /// The identity plus `M`, as it is applied.
+    correction: Matrix3<f64>,
+    rows: LowPass<24>,
+    seen: LowPass<2>,
+}
+
+saved!(Rates { estimate, correction, rows, seen });
+
+/// What one window of samples says.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TiltWindow {
+    /// Sum over samples of the level frame's first two rows, 3 each.
+    level: SVector<f64, 6>,
+    /// Sum of the same times each component of the rate: x row (9), y row (9).
+    turned: SVector<f64, 18>,
+    /// Sum of the corrections of the tilt, radians.
+    correction: nalgebra::Vector2<f64>,
+    /// Sum of the squared horizontal acceleration.
+    acc_squared: f64,
+}
+
+saved!(TiltWindow { level, turned, correction, acc_squared });
+
+impl TiltWindow {
+    #[inline]
+    pub(super) fn add(
+        &mut self,
+        r: &Matrix3<f64>,
+        gyr: &Vector3<f64>,
+        up: &Vector3<f64>,
+        acc_level: &Vector3<f64>,
+    ) {
+        for i in 0..2 {
+            for j in 0..3 {
+                let a = r[(i, j)];
+                self.level[3 * i + j] += a;
+                for k in 0..3 {
+                    self.turned[9 * i + 3 * j + k] += a * gyr[k];
+                }
+            }
+        }
+        self.correction.x -= up.y;
+        self.correction.y += up.x;
+        self.acc_squared += acc_level.x * acc_level.x + acc_level.y * acc_level.y;
+    }
+
+    /// The two regressors: what each unknown turns about x and y of the level frame, mean over the window.
+    fn rows(&self, samples: f64) -> SVector<f64, 24> {
+        let scale = 1.0 / samples;
+        SVector::from_fn(|i, _| {
+            let (axis, i) = (i / N, i % N);
+            scale * if i < 3 { self.level[3 * axis + i] } else { self.turned[9 * axis + i - 3] }
+        })
+    }
+}
+
+impl Rates {
+    pub(super) fn new(params: &VergenceParams, c: &VergenceCoefficients) -> Self {
+        let mut p = SVector::<f64, N>::zeros();
+        for i in 0..3 {
+            p[i] = c.bias_p;
+        }
+        for i in 0..9 {
+            p[3 + i] = (if i % 4 == 0 { params.scale_sigma } else { params.cross_sigma }).powi(2);
+        }
+        Self {
+            estimate: Estimate { x: SVector::zeros(), p: nalgebra::SMatrix::from_diagonal(&p) },
+            correction: Matrix3::identity(),
+            rows: LowPass::default(),
+            seen: LowPass::default(),
+        }
+    }
+
+    /// The bias, radians per second.
+    pub(super) fn bias(&self) -> Vector3<f64> {
+        self.estimate.x.fixed_rows::<3>(0).into_owned()
+    }
+
+    /// The rate without its known errors.
+    #[inline]
+    pub(super) fn corrected(&self, gyr: &Vector3<f64>) -> Vector3<f64> {
+        self.correction * gyr - self.bias()
+    }
+
+    /// Learns from one window in which the sensor `rested` with the mean rate `mean`, or moved.
+    pub(super) fn learn(
+        &mut self,
+        window: &TiltWindow,
+        rested: bool,
+        mean: &Vector3<f64>,
+        params: &VergenceParams,
+        c: &VergenceCoefficients,
+    ) {
+        let rows = window.rows(c.window);
+        let e = &mut self.estimate;
+        let expected = |axis: usize| rows.fixed_rows::<N>(N * axis).dot(&e.x);
+        let seen = self.seen.step(&nalgebra::Vector2::new(expected(0), expected(1)), &c.windows);
+        let rows = self.rows.step(&rows, &c.windows);
+        for i in 0..3 {
+            e.widen(i, c.bias_wander, c.bias_p);
+        }
+        for i in 3..N {
+            if e.p[(i, i)] > 0.0 {
+                e.p[(i, i)] += FACTOR_WANDER * c.window_s;
+            }
+        }
+        if rested {
+            for i in 0..3 {
+                let mut row = SVector::<f64, N>::zeros();
+                row[i] = 1.0;
+                e.observe(&row, mean[i], c.rest_r);
+            }
+        } else {
+            let r = c.tilt_r * (1.0 + params.tilt_noise_per_acc * window.acc_squared / c.window);
+            for i in 0..2 {
+                // What was taken out already, plus what is left: the rate of the tilt's correction.
+                let y = seen[i] + window.correction[i] / c.window_s;
+                e.observe(&rows.fixed_rows::<N>(N * i).into_owned(), y, r);
+            }
+        }
+        for i in 0..N {
+            let limit = if i < 3 { c.bias_limit } else { FACTOR_LIMIT };
+            e.x[i] = e.x[i].clamp(-limit, limit);
+        }
+        self.correction = Matrix3::identity() - Matrix3::from_row_slice(e.x.fixed_rows::<9>(3).as_slice());
+    }
+
+    /// Starts the low-passes anew and lets the bias have wandered for `gap_s`.
+    pub(super) fn lost(&mut self, gap_s: f64, c: &VergenceCoefficients) {
+        self.rows = LowPass::default();
+        self.seen = LowPass::default();
+        for i in 0..3 {
+            self.estimate.widen(i, c.bias_wander * gap_s / c.window_s, c.bias_p);
+        }
+    }
+
+    /// For time running backwards: rates, and so the bias, change their sign; the factors do not.
+    pub(crate) fn reversed(&self, c: &VergenceCoefficients) -> Self {
+        let mut estimate = self.estimate;
+        for i in 0..3 {
+            estimate.x[i] = -estimate.x[i];
+            for j in 3..N {
+                estimate.p[(i, j)] = -estimate.p[(i, j)];
+                estimate.p[(j, i)] = -estimate.p[(j, i)];
+            }
+        }
+        let mut reversed = Self { estimate, ..self.clone() };
+        reversed.lost(0.0, c);
+        reversed
+    }
+}
