@@ -165,6 +165,22 @@ impl ReadBack {
         used: Use,
         texels: &mut Vec<u8>,
     ) -> Result<(), Error> {
+        texels.clear();
+        self.look(image, layer, used, |mapped| texels.extend_from_slice(mapped))
+    }
+
+    /// As [`ReadBack::layer`], but shows the texels where they were read to: nothing is copied.
+    ///
+    /// # Errors
+    ///
+    /// As [`ReadBack::layer`].
+    pub fn look(
+        &mut self,
+        image: &Arc<Image>,
+        layer: u32,
+        used: Use,
+        see: impl FnOnce(&[u8]),
+    ) -> Result<(), Error> {
         let Some(texel) = texel_bytes(image.format()) else {
             return Err(Error::range(
                 "format to read back",
@@ -190,7 +206,6 @@ impl ReadBack {
         encoder.finish()?;
         let submission = self.device.submit(&mut self.commands, &[], &[])?;
         self.device.wait(submission)?;
-        texels.clear();
-        buffer.with_bytes(0, bytes, |mapped| texels.extend_from_slice(mapped))
+        buffer.with_bytes(0, bytes, |mapped| see(mapped))
     }
 }

@@ -58,6 +58,7 @@ pub(crate) struct Import<'a> {
     /// Canonical: nothing outside of it is read.
     root: PathBuf,
     files: HashMap<PathBuf, Bytes>,
+    read: Vec<PathBuf>,
     file_bytes: u64,
     charged: u64,
     pixels: u64,
@@ -81,6 +82,7 @@ impl<'a> Import<'a> {
             limits,
             root,
             files: HashMap::new(),
+            read: Vec::new(),
             file_bytes: 0,
             charged: 0,
             pixels: 0,
@@ -186,8 +188,16 @@ impl<'a> Import<'a> {
         self.file_bytes += bytes.len() as u64;
         self.charged += bytes.len() as u64;
         let bytes = Arc::new(bytes);
+        if !self.read.iter().any(|read| read == path) {
+            self.read.push(path.to_owned());
+        }
         self.files.insert(key, Arc::clone(&bytes));
         Ok(bytes)
+    }
+
+    /// Every file that was read, in that order.
+    pub(crate) fn take_read(&mut self) -> Vec<PathBuf> {
+        std::mem::take(&mut self.read)
     }
 
     /// Forgets file contents: what has been decoded is no longer needed.

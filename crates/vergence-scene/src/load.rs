@@ -37,5 +37,6 @@ pub fn load_with(path: &Path, limits: &Limits, progress: &mut dyn FnMut(Progress
         }
     };
     scene.warnings = import.take_warnings();
+    scene.files = import.take_read();
     Ok(scene)
 }

@@ -40,6 +40,8 @@ pub struct Scene {
     pub touchables: Vec<Touchable>,
     /// One sentence for each feature of the file that is not drawn.
     pub warnings: Vec<String>,
+    /// The files that it was made from, in the order in which they were read: first the one that was asked for.
+    pub files: Vec<std::path::PathBuf>,
 }
 
 /// A place in the hierarchy and what stands there.

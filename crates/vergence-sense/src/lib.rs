@@ -20,6 +20,7 @@ mod happening;
 mod imu;
 mod pose;
 mod raw;
+mod said;
 
 pub use body::{Gaze, HandJoint, HandJoints, JOINTS_PER_HAND, JointPose};
 pub use control::{Axis, Button, Haptic, Vector2};
@@ -27,6 +28,7 @@ pub use happening::{Event, FrameHash, FrameTiming, Scalar};
 pub use imu::Imu;
 pub use pose::{Pose, Tracking, Velocity};
 pub use raw::{RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Validity};
+pub use said::{Body, ControlState, Said};
 
 use vergence_time::Timestamp;
 

@@ -24,6 +24,21 @@ pub struct CaptureConfig {
     pub every: Option<u64>,
 }
 
+/// The recording of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordConfig {
+    /// The log; one that is there is replaced.
+    pub path: PathBuf,
+    /// Asks the disk to have each chunk before the next begins: a power cut loses no more than a kill.
+    pub durable: bool,
+    /// Whether the colour pictures are hashed, so that a replay can tell whether it draws the same. Each frame is then
+    /// waited for and read back, which takes the GPU's head start away: 8 ms for two pictures of 1024 × 1024 on lavapipe.
+    /// `None`: on the simulated headset, on whose clock that costs nothing.
+    pub hash_frames: Option<bool>,
+    /// Puts the scene's files into the log.
+    pub attach_scene: bool,
+}
+
 /// What to run, where, for how long, and what to write down.
 #[derive(Clone, Debug)]
 pub struct RunConfig {
@@ -61,6 +76,8 @@ pub struct RunConfig {
     pub capture: Option<CaptureConfig>,
     /// Where every frame's located poses are written, a JSON object per line.
     pub log_poses: Option<PathBuf>,
+    /// Records the session.
+    pub record: Option<RecordConfig>,
     /// Reads the joints of both hands.
     pub hand_joints: bool,
     /// Reads where the user looks.
@@ -93,6 +110,7 @@ impl Default for RunConfig {
             quality: Quality::default(),
             capture: None,
             log_poses: None,
+            record: None,
             hand_joints: false,
             eye_gaze: false,
             refresh_rate_hz: None,

@@ -21,6 +21,9 @@ pub enum Error {
     /// There is no window.
     #[error(transparent)]
     Window(#[from] vergence_window::Error),
+    /// A session log cannot be read.
+    #[error(transparent)]
+    Log(#[from] vergence_log::Error),
     /// A result could not be written.
     #[error("{path}: {source}")]
     Write {
@@ -56,5 +59,13 @@ impl Error {
 
     pub(crate) fn write(path: &std::path::Path) -> impl Fn(std::io::Error) -> Self + '_ {
         move |source| Self::Write { path: path.to_owned(), source }
+    }
+}
+
+/// An error and what caused it, in one sentence.
+pub(crate) fn with_cause(error: &dyn std::error::Error) -> String {
+    match error.source() {
+        Some(cause) => format!("{error}: {}", with_cause(cause)),
+        None => error.to_string(),
     }
 }

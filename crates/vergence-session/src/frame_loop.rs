@@ -6,16 +6,19 @@ use std::time::{Duration, Instant};
 use vergence_geom::{Rigid, View};
 use vergence_gpu as gpu;
 use vergence_render::{Attachments, Renderer, Target};
-use vergence_sense::Hand;
+use vergence_sense::{Event, Hand, Said};
 use vergence_time::{Span, Timestamp};
 use vergence_xr::{Client, Frame, Located, Notice, SessionDesc, State, in_world};
+use vergence_xr_sim::motion::SESSION_BEGINS;
 
+use crate::book::{self, Book};
 use crate::capture::Picture;
 use crate::desk::Desk;
-use crate::error::Error;
+use crate::error::{Error, with_cause};
 use crate::headset::Chosen;
 use crate::place;
-use crate::report::PassReport;
+use crate::recording::Recording;
+use crate::report::{PassReport, RecordReport};
 use crate::run::{Happening, Run};
 use crate::touch::Touching;
 
@@ -111,6 +114,7 @@ impl OurCpu {
 pub(crate) fn play(run: &mut Run<'_>, chosen: &Chosen) -> Result<End, Error> {
     let mut session = start(run, chosen)?;
     let ended = frames(run, &mut session);
+    run.book = book::take(&mut session.client);
     if session.client.is_hung() {
         // Whatever is destroyed now may not return either.
         if let Some(desk) = &mut run.desk {
@@ -192,6 +196,13 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     if client.has_actions() {
         report.actions = run.plan.actions.actions.iter().map(|action| action.name.to_owned()).collect();
     }
+    if run.book.is_none() && run.tally.losses == 0 {
+        run.book = open_book(run, chosen, &client);
+    }
+    if let Some(book) = run.book.take() {
+        client.set_tap(book);
+        client.tell(|| Said::Event(Event::new(SESSION_BEGINS, "")));
+    }
     Ok(Session {
         touching: Touching::new(&run.scene, &client),
         renderer,
@@ -208,6 +219,27 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
         first_display: None,
         failed: 0,
     })
+}
+
+/// What the run is to keep of itself; `None` where that is nothing, or cannot be made: the session goes on without.
+fn open_book(run: &mut Run<'_>, chosen: &Chosen, client: &Client) -> Option<Box<Book>> {
+    if let Some(again) = &mut run.again {
+        let verifier = again.verifier.take()?(&run.report.device);
+        return Some(Box::new(Book::new(None, Some(verifier), again.hash)));
+    }
+    let config = run.config.record.clone()?;
+    let hashes = config.hash_frames.unwrap_or(chosen.is_simulated);
+    match Recording::begin(run, &config, chosen, client, hashes) {
+        Ok(recording) => Some(Box::new(Book::new(Some(recording), None, hashes))),
+        Err(error) => {
+            let sentence = format!("nothing is recorded: {}", with_cause(&error));
+            run.say(&sentence);
+            let path = config.path.display().to_string();
+            run.report.recording =
+                Some(RecordReport { path, error: Some(sentence), ..RecordReport::default() });
+            None
+        }
+    }
 }
 
 /// Tells the renderer what the lenses hide; whether they hide anything.
@@ -295,6 +327,10 @@ fn forbear(run: &Run<'_>, waiting_since: &mut Instant) {
 }
 
 fn is_over(run: &Run<'_>) -> bool {
+    if let Some(again) = &run.again {
+        // When the application left is part of the recording.
+        return again.replay.takes_exit_request();
+    }
     run.config.frames.is_some_and(|frames| run.tally.frames >= frames)
         || run.config.seconds.is_some_and(|seconds| run.tally.elapsed().as_secs_f64() >= seconds)
 }
@@ -302,6 +338,12 @@ fn is_over(run: &Run<'_>) -> bool {
 /// Says what has happened, and follows it.
 fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
     let mut mask_changed = false;
+    let recording = book::of(&mut session.client).and_then(|book| book.recording.as_mut());
+    if let Some(error) = recording.and_then(|recording| recording.failure()) {
+        let sentence = format!("{}; the session goes on", with_cause(&error));
+        run.say(&sentence);
+        run.report.recording.get_or_insert_default().error = Some(sentence);
+    }
     let Session { client, recentring, .. } = session;
     for notice in client.drain_notices() {
         match notice {
@@ -358,6 +400,7 @@ fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool)
 
 fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool) -> Result<Outcome, Error> {
     let frame = session.client.wait()?;
+    run.tally.paced += 1;
     session.client.begin()?;
     let display = frame.prediction.display;
     if frame.prediction.rebased {
@@ -397,6 +440,7 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
 
     let drawn = OurCpu::now(&session.client);
     photograph(run, session, &frame, &shown, head.as_ref(), &images)?;
+    hash_pictures(session, &images)?;
     mirror(run, &images, session.client.pictures().views)?;
     let photographed = OurCpu::now(&session.client);
     session.client.end(&frame, Some(&shown))?;
@@ -405,9 +449,13 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
     let ours = drawn.since(began).as_nanos() + ended.since(photographed).as_nanos();
 
     let number = run.tally.frames;
+    let pose_age = Span::from_nanos(i64::try_from(pose_age.as_nanos()).unwrap_or(i64::MAX));
     run.tally.shown(display, frame.prediction.period);
     run.tally.frame_cpu.add(Span::from_nanos(ours));
-    run.tally.pose_age.add(Span::from_nanos(i64::try_from(pose_age.as_nanos()).unwrap_or(i64::MAX)));
+    run.tally.pose_age.add(pose_age);
+    if let Some(book) = book::of(&mut session.client) {
+        book.diagnose(Span::from_nanos(ours), pose_age);
+    }
     if let Some(log) = &mut run.pose_log {
         let eyes = (0..shown.views().len()).filter_map(|view| shown.as_said(view));
         let head = head.as_ref().map(crate::pose_log::seven);
@@ -415,6 +463,27 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
     }
     (run.watch)(Happening::Frame { shown: run.tally.frames, seconds: run.tally.elapsed().as_secs_f64() });
     Ok(Outcome::Shown)
+}
+
+/// Hashes what was drawn, where the book asks for it. Waits for the GPU and reads back.
+fn hash_pictures(session: &mut Session, images: &vergence_xr::Attachments) -> Result<(), Error> {
+    let Session { client, read_back, device, .. } = session;
+    let views = client.pictures().views;
+    let Some(book) = book::of(client).filter(|book| book.hashes) else { return Ok(()) };
+    let frame = book.frame();
+    let reader = match read_back {
+        Some(reader) => reader,
+        None => read_back.insert(gpu::ReadBack::new(device)?),
+    };
+    for view in 0..views {
+        let mut hash = None;
+        let see = |bytes: &[u8]| hash = Some(book::hash(frame, view, bytes));
+        reader.look(images.color.image(), view, gpu::Use::ColorAttachment, see)?;
+        if let Some(hash) = hash {
+            client.tell(|| Said::Hash(hash));
+        }
+    }
+    Ok(())
 }
 
 /// Shows the frame in the window, where there is one. A window that is gone takes nothing from the headset.

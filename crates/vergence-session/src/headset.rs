@@ -11,6 +11,7 @@ use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
 use crate::desk::ByHand;
 use crate::error::Error;
+use crate::run::Again;
 
 const APP_NAME: &str = "vergence";
 
@@ -18,6 +19,8 @@ const APP_NAME: &str = "vergence";
 pub(crate) struct Chosen {
     pub(crate) connection: Arc<Connection>,
     pub(crate) is_simulated: bool,
+    /// What the simulated headset is; of another one, what it says of its pictures.
+    pub(crate) profile: Profile,
     /// Why this one, for people.
     pub(crate) why: String,
 }
@@ -28,17 +31,18 @@ pub(crate) fn choose(
     plan: &Plan,
     capture: Option<&Capture>,
     by_hand: Option<ByHand>,
+    again: Option<&Again>,
     say: &mut dyn FnMut(&str),
 ) -> Result<Chosen, Error> {
     match config.headset {
-        HeadsetChoice::Simulated => simulated(config, plan, capture, by_hand, "asked for".into()),
+        HeadsetChoice::Simulated => simulated(config, plan, capture, by_hand, again, "asked for".into()),
         HeadsetChoice::OpenXr => {
             let connection = wait_for_real(config, plan, say)?;
             real(config, connection, "asked for".into())
         }
         HeadsetChoice::Auto => match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
             Ok(connection) => real(config, connection, "a runtime with a headset was found".into()),
-            Err(error) => simulated(config, plan, capture, by_hand, format!("no real one: {error}")),
+            Err(error) => simulated(config, plan, capture, by_hand, again, format!("no real one: {error}")),
         },
     }
 }
@@ -75,7 +79,10 @@ fn real(config: &RunConfig, connection: Connection, why: String) -> Result<Chose
              for --headset simulated"
         )));
     }
-    Ok(Chosen { connection: Arc::new(connection), is_simulated: false, why })
+    let resolution = connection.views().first().map_or((1, 1), |view| view.recommended);
+    let name = connection.description().headset.clone();
+    let profile = Profile { name, resolution, ..Profile::default() };
+    Ok(Chosen { connection: Arc::new(connection), is_simulated: false, profile, why })
 }
 
 fn simulated(
@@ -83,11 +90,13 @@ fn simulated(
     plan: &Plan,
     capture: Option<&Capture>,
     by_hand: Option<ByHand>,
+    again: Option<&Again>,
     why: String,
 ) -> Result<Chosen, Error> {
-    let mut profile = match &config.profile {
-        Some(name) => Profile::open(name)?,
-        None => Profile::default(),
+    let mut profile = match (again, &config.profile) {
+        (Some(again), _) => again.profile.clone(),
+        (None, Some(name)) => Profile::open(name)?,
+        (None, None) => Profile::default(),
     };
     if let Some(ipd_m) = config.ipd_m {
         if !(0.0..=1.0).contains(&ipd_m) {
@@ -95,12 +104,13 @@ fn simulated(
         }
         profile = profile.with_ipd(ipd_m);
     }
-    let motion: Box<dyn PoseProvider> = match (config.motion.as_deref(), by_hand) {
-        (None, Some(by_hand)) => Box::new(by_hand),
-        (name, _) => motion::open(name.unwrap_or("still"))?,
+    let motion: Box<dyn PoseProvider> = match (again, config.motion.as_deref(), by_hand) {
+        (Some(again), ..) => Box::new(again.replay.clone()),
+        (None, None, Some(by_hand)) => Box::new(by_hand),
+        (None, name, _) => motion::open(name.unwrap_or("still"))?,
     };
     Runtime::configure(Config {
-        profile,
+        profile: profile.clone(),
         motion,
         clock: if config.real_time || config.window { ClockMode::RealTime } else { ClockMode::Virtual },
         frames: None,
@@ -110,7 +120,7 @@ fn simulated(
         faults: config.faults.clone(),
     });
     let connection = Connection::open(Way::Embedded(embedded()), APP_NAME, &plan.extensions)?;
-    Ok(Chosen { connection: Arc::new(connection), is_simulated: true, why })
+    Ok(Chosen { connection: Arc::new(connection), is_simulated: true, profile, why })
 }
 
 #[allow(unsafe_code)]

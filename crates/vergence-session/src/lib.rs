@@ -17,6 +17,7 @@
 // One unsafe block: naming the embedded runtime's entry point.
 #![deny(unsafe_code)]
 
+mod book;
 mod capture;
 mod config;
 mod cost;
@@ -26,16 +27,25 @@ mod frame_loop;
 mod headset;
 mod place;
 mod pose_log;
+mod provenance;
+mod recording;
+mod replay;
 mod report;
+mod resolved;
 mod run;
+mod said_log;
 mod tally;
 mod targets;
 mod touch;
+mod verify;
 
-pub use config::{CaptureConfig, HeadsetChoice, RunConfig};
+pub use config::{CaptureConfig, HeadsetChoice, RecordConfig, RunConfig};
 pub use cost::{Cost, cost_of};
 pub use error::Error;
 pub use place::start_of;
-pub use report::{Milliseconds, PassReport, RunReport, Touch};
+pub use provenance::scene_hash;
+pub use replay::{ReplayConfig, ReplayReport, SessionLog, replay};
+pub use report::{Milliseconds, PassReport, RecordReport, RunReport, Touch};
 pub use run::{Happening, run};
 pub use vergence_xr_sim::{Fault, FaultPlan};
+pub use verify::Comparison;

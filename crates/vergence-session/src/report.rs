@@ -37,6 +37,21 @@ pub struct Touch {
     pub name: String,
 }
 
+/// What became of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct RecordReport {
+    /// The log.
+    pub path: String,
+    /// Messages that were taken.
+    pub messages: u64,
+    /// Of these, messages that are not in the file.
+    pub dropped: u64,
+    /// Host time per frame that recording took on the frame's thread, microseconds.
+    pub frame_us: Milliseconds,
+    /// Why it ended early; `None` where it did not.
+    pub error: Option<String>,
+}
+
 /// What a run was like. Its JSON is an interface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunReport {
@@ -54,6 +69,8 @@ pub struct RunReport {
     pub states: Vec<String>,
     /// Frames that were shown.
     pub frames: u64,
+    /// Frames that were paced, shown or not.
+    pub paced: u64,
     /// Frames that the display showed nothing new in.
     pub missed: u64,
     /// How often the session was lost and asked for anew.
@@ -94,6 +111,8 @@ pub struct RunReport {
     pub notices: Vec<String>,
     /// Messages of Vulkan validation; `None` where it was off or is not installed.
     pub validation_messages: Option<u64>,
+    /// The recording; `None` where none was asked for.
+    pub recording: Option<RecordReport>,
     /// Pictures that were written.
     pub pictures: Vec<String>,
 }
@@ -126,6 +145,17 @@ impl std::fmt::Display for RunReport {
         writeln!(f, "pose age       p50 {p50:.3}, p99 {p99:.3} ms when handed to the GPU")?;
         for pass in &self.gpu_ms {
             writeln!(f, "GPU {:<10} {:.3} ms", pass.name, pass.ms)?;
+        }
+        if let Some(recording) = &self.recording {
+            let RecordReport { path, messages, dropped, frame_us, error } = recording;
+            match error {
+                Some(error) => writeln!(f, "recording      ended early: {error}")?,
+                None => writeln!(
+                    f,
+                    "recording      {path}: {messages} messages, {dropped} dropped, p95 {:.1} us per frame",
+                    frame_us.p95
+                )?,
+            }
         }
         if let Some(count) = self.validation_messages {
             writeln!(f, "validation     {count} messages")?;

@@ -6,7 +6,9 @@ use std::time::Duration;
 use vergence_plan::{Plan, Requests};
 use vergence_scene::Scene;
 use vergence_xr::State;
+use vergence_xr_sim::{Profile, Replay};
 
+use crate::book::Book;
 use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
 use crate::desk::Desk;
@@ -14,8 +16,9 @@ use crate::error::Error;
 use crate::frame_loop::{self, End};
 use crate::headset;
 use crate::pose_log::PoseLog;
-use crate::report::RunReport;
+use crate::report::{RecordReport, RunReport};
 use crate::tally::Tally;
+use crate::verify::{Comparison, Verifier};
 
 /// How long a real runtime is given to come back after it was lost, seconds.
 const COME_BACK_S: f64 = 10.0;
@@ -43,8 +46,24 @@ pub(crate) struct Run<'a> {
     pub(crate) capture: Option<Capture>,
     pub(crate) pose_log: Option<PoseLog>,
     pub(crate) desk: Option<Desk>,
+    /// What the session keeps of itself; with the client while one runs.
+    pub(crate) book: Option<Box<Book>>,
+    /// A recording that is lived through again.
+    pub(crate) again: Option<Again>,
     pub(crate) report: RunReport,
     pub(crate) watch: &'a mut dyn FnMut(Happening<'_>),
+}
+
+/// What a replay adds to a run.
+pub(crate) struct Again {
+    /// Moves the simulated headset.
+    pub(crate) replay: Replay,
+    /// The headset of the recording.
+    pub(crate) profile: Profile,
+    /// Whether pictures are hashed.
+    pub(crate) hash: bool,
+    /// Makes the comparison once it is known on which device; `None` where none is asked for.
+    pub(crate) verifier: Option<Box<dyn FnOnce(&str) -> Verifier>>,
 }
 
 impl Run<'_> {
@@ -70,6 +89,25 @@ pub fn run(
     config: &RunConfig,
     watch: &mut dyn FnMut(Happening<'_>),
 ) -> Result<RunReport, Error> {
+    whole(scene, config, None, watch).map(|(report, _)| report)
+}
+
+/// As [`run`], but what happens is that of a recording; with how it compares, where that is asked for.
+pub(crate) fn run_again(
+    scene: &Arc<Scene>,
+    config: &RunConfig,
+    again: Again,
+    watch: &mut dyn FnMut(Happening<'_>),
+) -> Result<(RunReport, Option<Comparison>), Error> {
+    whole(scene, config, Some(again), watch)
+}
+
+fn whole(
+    scene: &Arc<Scene>,
+    config: &RunConfig,
+    again: Option<Again>,
+    watch: &mut dyn FnMut(Happening<'_>),
+) -> Result<(RunReport, Option<Comparison>), Error> {
     check(config)?;
     let requests = Requests {
         normal_maps: config.quality.normal_maps,
@@ -86,15 +124,18 @@ pub fn run(
         capture,
         pose_log,
         desk: if config.window { Some(Desk::open()?) } else { None },
+        book: None,
+        again,
         report: RunReport::default(),
         watch,
     };
     let result = sessions(&mut run);
     // What was written so far is finished also where the run failed: the run's own failure is the one to report.
+    let comparison = close_book(&mut run);
     let written = finish(&mut run);
     result?;
     written?;
-    Ok(run.report)
+    Ok((run.report, comparison))
 }
 
 fn check(config: &RunConfig) -> Result<(), Error> {
@@ -163,7 +204,8 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
     let config = run.config.clone();
     let (watch, notices) = (&mut *run.watch, &mut run.report.notices);
     let by_hand = run.desk.as_ref().map(Desk::user);
-    let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, &mut |sentence| {
+    let again = run.again.as_ref();
+    let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, again, &mut |sentence| {
         watch(Happening::Said(sentence));
         notices.push(sentence.to_owned());
     })?;
@@ -182,9 +224,35 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
     frame_loop::play(run, &chosen)
 }
 
+/// Ends the recording, and says how the session compares with an earlier one.
+fn close_book(run: &mut Run<'_>) -> Option<Comparison> {
+    let mut book = run.book.take()?;
+    if let Some(recording) = book.recording.take() {
+        let frame_us = book.cost_us();
+        let ended = recording.finish();
+        let report = run.report.recording.get_or_insert_default();
+        report.frame_us = frame_us;
+        match ended {
+            Ok(status) => (report.messages, report.dropped) = (status.taken, status.dropped),
+            Err(error) => {
+                let sentence = crate::error::with_cause(&error);
+                report.error = Some(sentence.clone());
+                run.say(&sentence);
+            }
+        }
+        if let Some(RecordReport { dropped: dropped @ 1.., error: None, .. }) = &run.report.recording {
+            let sentence =
+                format!("{dropped} messages found the recorder's queue full and are not in the log");
+            run.say(&sentence);
+        }
+    }
+    book.verifier.take().map(Verifier::finish)
+}
+
 fn finish(run: &mut Run<'_>) -> Result<(), Error> {
     let report = &mut run.report;
     report.frames = run.tally.frames;
+    report.paced = run.tally.paced;
     report.missed = run.tally.missed;
     report.losses = run.tally.losses;
     report.seconds = run.tally.elapsed().as_secs_f64();

@@ -46,6 +46,8 @@ impl Series {
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     pub(crate) frames: u64,
+    /// Frames that were waited for, shown or not.
+    pub(crate) paced: u64,
     pub(crate) missed: u64,
     pub(crate) losses: u32,
     pub(crate) frame_cpu: Series,

@@ -27,6 +27,7 @@ pub(crate) struct ActionSet {
 pub(crate) struct Action {
     pub handle: sys::Action,
     pub set: Arc<ActionSet>,
+    pub name: String,
     pub kind: sys::ActionType,
     pub subactions: Vec<sys::Path>,
 }
@@ -149,6 +150,7 @@ pub(crate) fn create_action(
     let (handle, _) = handle::insert(parent, |handle| Action {
         handle,
         set: set.clone(),
+        name: name.to_owned(),
         kind: info.action_type,
         subactions: subactions.to_vec(),
     });

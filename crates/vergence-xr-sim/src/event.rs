@@ -31,6 +31,9 @@ pub(crate) enum Event {
         from_hz: f32,
         to_hz: f32,
     },
+    VisibilityMaskChanged {
+        session: sys::Session,
+    },
     InstanceLossPending {
         time: Timestamp,
     },
@@ -41,6 +44,7 @@ impl Event {
         match *self {
             Self::StateChanged { session, .. }
             | Self::LocalSpaceChanging { session, .. }
+            | Self::VisibilityMaskChanged { session }
             | Self::InteractionProfileChanged { session } => Some(session),
             Self::RefreshRateChanged { .. } | Self::InstanceLossPending { .. } => None,
         }
@@ -60,6 +64,16 @@ impl Events {
         } else {
             self.lost = self.lost.saturating_add(1);
         }
+    }
+
+    /// So many more are reported as lost.
+    pub(crate) fn lose(&mut self, count: u32) {
+        self.lost = self.lost.saturating_add(count);
+    }
+
+    /// Whether nothing waits to be told.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.queue.is_empty() && self.lost == 0
     }
 
     /// Forgets what concerns a session that is no more.
@@ -107,6 +121,16 @@ impl Events {
                 };
                 write(place, event);
             }
+            Event::VisibilityMaskChanged { session } => {
+                let event = sys::EventDataVisibilityMaskChangedKHR {
+                    ty: sys::EventDataVisibilityMaskChangedKHR::TYPE,
+                    next,
+                    session,
+                    view_configuration_type: sys::ViewConfigurationType::PRIMARY_STEREO,
+                    view_index: 0,
+                };
+                write(place, event);
+            }
             Event::InstanceLossPending { time: at } => {
                 let ty = sys::EventDataInstanceLossPending::TYPE;
                 write(place, sys::EventDataInstanceLossPending { ty, next, loss_time: time(at) });
@@ -129,6 +153,7 @@ pub(crate) fn poll_event(instance: &Instance, mut out: Out<sys::EventDataBuffer>
     let place = out.fill()?;
     instance.attend();
     instance.check_lost()?;
+    instance.follow_replay();
     let shared = &mut *instance.lock();
     let last = matches!(shared.events.queue.front(), Some(Event::InstanceLossPending { .. }));
     let found = shared.events.pop(place);

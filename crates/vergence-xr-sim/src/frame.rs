@@ -11,6 +11,7 @@ use crate::fault::bent_time;
 use crate::ffi::{In, Out, XrResult};
 use crate::headset::Profile;
 use crate::layer::{self, Layer};
+use crate::motion::Replay;
 use crate::session::{Session, SessionState};
 
 /// How long `xrWaitFrame` waits for another thread to begin the frame before, by the host's clock, until it gives up.
@@ -90,19 +91,28 @@ pub(crate) fn wait_frame(
         }
     }
     check_running(&inner)?;
-    let (display, period) = predict(session, &inner);
     inner.frames.waiting = true;
+    drop(inner);
+    let replay = session.replay();
+    let said = replay.and_then(Replay::wait);
+    if let Some(replay) = replay.filter(|_| said.is_none()) {
+        session.lock().frames.waiting = false;
+        session.leave_replay(replay)?;
+    }
+    let mut inner = session.lock();
+    let (display, period) = said.map_or_else(|| predict(session, &inner), |said| (said.display, said.period));
     inner.frames.last_display = Some(display);
     drop(inner);
     let wake = display.saturating_add(Span::from_nanos(-period.as_nanos()));
-    session.instance.clock.sleep_until(wake);
+    session.instance.clock.sleep_until(said.map_or(wake, |said| said.now));
 
     let mut inner = session.lock();
     let config = &session.instance.config;
-    let should_render = inner.is_visible()
-        && config.render
-        && session.graphics.is_some()
-        && config.motion.renders(inner.motion_time(display));
+    let asks = match said {
+        Some(said) => said.should_render,
+        None => inner.is_visible() && config.motion.renders(inner.motion_time(display)),
+    };
+    let should_render = asks && config.render && session.graphics.is_some();
     inner.frames.waiting = false;
     inner.frames.waited = Some(Frame { display, should_render });
     check_running(&inner)?;

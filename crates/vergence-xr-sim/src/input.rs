@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use openxr_sys as sys;
+use vergence_sense::ControlState;
 use vergence_time::Timestamp;
 
 use crate::action::{Action, ActionSet, hand_of};
@@ -12,7 +13,7 @@ use crate::event::Event;
 use crate::ffi::{In, Out, XrResult, array};
 use crate::handle;
 use crate::interaction::{self, InteractionProfile};
-use crate::motion::{Controller, Hand, Tracked};
+use crate::motion::{Controller, Hand, Replay, Tracked};
 use crate::session::Session;
 
 /// From here on an analog input counts as pressed.
@@ -148,7 +149,7 @@ fn choose_profiles(session: &Session, input: &mut Input, controllers: &[Controll
             input.bindings.extend(binding::resolve(session, hand, profile, &sets));
         }
     }
-    if changed {
+    if changed && session.replay().is_none() {
         session.instance.push_event(Event::InteractionProfileChanged { session: session.handle });
     }
 }
@@ -215,7 +216,24 @@ fn state_of(session: &Session, info: In<sys::ActionStateGetInfo>, kind: sys::Act
     if info.subaction_path != sys::Path::NULL && hand.is_none() {
         return Ok(Value::default());
     }
+    if let (Some(replay), Some(hand)) = (session.replay(), hand) {
+        return Ok(said(replay, &action, hand));
+    }
     Ok(session.lock().input.values.get(&(action.handle, hand)).copied().unwrap_or_default())
+}
+
+/// What a recording says that an action read.
+fn said(replay: &Replay, action: &Action, hand: Hand) -> Value {
+    if action.kind == sys::ActionType::POSE_INPUT {
+        return Value { active: replay.locates(&action.name, hand), ..Value::default() };
+    }
+    let value = match replay.control(&action.name, hand) {
+        Some(ControlState::Button(button)) => button.0.map(|on| [f32::from(u8::from(on)), 0.0]),
+        Some(ControlState::Axis(axis)) => axis.0.map(|value| [value, 0.0]),
+        Some(ControlState::Vector2(vector)) => vector.0,
+        None => None,
+    };
+    Value { value: value.unwrap_or_default(), active: value.is_some(), ..Value::default() }
 }
 
 fn time_of(value: &Value) -> sys::Time {

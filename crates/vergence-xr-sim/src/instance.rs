@@ -83,6 +83,16 @@ impl Instance {
         }
     }
 
+    /// Where no event waits, the next one of a recording happens.
+    pub(crate) fn follow_replay(&self) {
+        let shared = self.lock();
+        let session = if shared.events.is_empty() { shared.session.upgrade() } else { None };
+        drop(shared);
+        if let Some(session) = session {
+            session.follow_replay();
+        }
+    }
+
     pub(crate) fn push_event(&self, event: Event) {
         self.lock().events.push(event);
     }

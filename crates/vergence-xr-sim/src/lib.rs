@@ -39,4 +39,4 @@ pub use entry::get_instance_proc_addr;
 pub use error::Error;
 pub use fault::{Fault, FaultPlan};
 pub use headset::Profile;
-pub use motion::{Controller, Hand, Motion, PoseProvider, Presence, Script, Still, Tracked};
+pub use motion::{Controller, Hand, Motion, PoseProvider, Presence, Replay, Script, Still, Tracked};

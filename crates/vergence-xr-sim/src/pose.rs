@@ -17,6 +17,15 @@ pub(crate) fn to_xr(pose: &Rigid) -> sys::Posef {
     }
 }
 
+/// Every bit as it was said.
+pub(crate) fn from_raw(pose: &vergence_sense::RawPose) -> sys::Posef {
+    let ([px, py, pz], [x, y, z, w]) = (pose.position_m, pose.orientation_xyzw);
+    sys::Posef {
+        orientation: sys::Quaternionf { x, y, z, w },
+        position: sys::Vector3f { x: px, y: py, z: pz },
+    }
+}
+
 pub(crate) fn to_xr_vector(v: &nalgebra::Vector3<f64>) -> sys::Vector3f {
     sys::Vector3f { x: v.x as f32, y: v.y as f32, z: v.z as f32 }
 }

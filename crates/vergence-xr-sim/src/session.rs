@@ -17,7 +17,7 @@ use crate::handle::{self, Object};
 use crate::headset::Profile;
 use crate::input::Input;
 use crate::instance::Instance;
-use crate::motion::{Presence, Tracked, yaw_of};
+use crate::motion::{Next, Presence, Replay, Tracked, yaw_of};
 use crate::system::{check_system, check_view_configuration};
 
 pub(crate) struct Session {
@@ -97,9 +97,85 @@ impl Session {
         self.enter(inner, S::STOPPING);
     }
 
+    /// The recording that decides what happens, where there is one that is not over.
+    pub(crate) fn replay(&self) -> Option<&Replay> {
+        self.instance.config.motion.replay().filter(|replay| !replay.is_exhausted())
+    }
+
+    /// Lets the next event of the recording happen; called where the application asks for events and none waits.
+    pub(crate) fn follow_replay(&self) {
+        let Some(replay) = self.replay() else { return };
+        match replay.next() {
+            Next::Event(event) => self.happen(&event),
+            // A loss shows in the next call that waits for a frame.
+            Next::Frame | Next::Lost => {}
+            Next::End => {
+                replay.exhaust();
+                self.ask_to_exit(&mut self.lock());
+            }
+        }
+    }
+
+    /// The recording has no further frame in this session: it was lost there, or the recording was cut off.
+    ///
+    /// # Errors
+    /// `XR_ERROR_SESSION_LOST`.
+    pub(crate) fn leave_replay(&self, replay: &Replay) -> XrResult<()> {
+        match replay.next() {
+            Next::Lost => {
+                self.lock().lost = true;
+                Err(sys::Result::ERROR_SESSION_LOST)
+            }
+            _ => {
+                replay.exhaust();
+                self.ask_to_exit(&mut self.lock());
+                Ok(())
+            }
+        }
+    }
+
+    /// One event of the recording.
+    fn happen(&self, event: &vergence_sense::Event) {
+        let session = self.handle;
+        let time = event.at.unwrap_or(self.instance.clock.now());
+        let said = match &*event.name {
+            "session_state" => {
+                let Some(state) = session_state(&event.text) else { return };
+                let inner = &mut *self.lock();
+                inner.state = state;
+                inner.lost |= state == sys::SessionState::LOSS_PENDING;
+                Event::StateChanged { session, state, time }
+            }
+            "space_changing" => {
+                let space = match &*event.text {
+                    "LOCAL" => sys::ReferenceSpaceType::LOCAL,
+                    "LOCAL_FLOOR" => sys::ReferenceSpaceType::LOCAL_FLOOR,
+                    "STAGE" => sys::ReferenceSpaceType::STAGE,
+                    _ => return,
+                };
+                Event::LocalSpaceChanging { session, space, time, pose: sys::Posef::IDENTITY }
+            }
+            "interaction_profile_changed" => Event::InteractionProfileChanged { session },
+            "refresh_rate_changed" => {
+                Event::RefreshRateChanged { from_hz: event.before as f32, to_hz: event.after as f32 }
+            }
+            "visibility_mask_changed" => Event::VisibilityMaskChanged { session },
+            "instance_loss_pending" => Event::InstanceLossPending { time },
+            "events_lost" => {
+                self.instance.lock().events.lose(event.after as u32);
+                return;
+            }
+            _ => return,
+        };
+        self.instance.push_event(said);
+    }
+
     /// One step towards what the user's attention allows: called at the end of each frame.
     pub(crate) fn step(&self, inner: &mut SessionState) {
         use sys::SessionState as S;
+        if self.replay().is_some() {
+            return;
+        }
         let next = match (inner.state, self.presence(inner)) {
             (S::READY, _) => S::SYNCHRONIZED,
             (S::SYNCHRONIZED, Presence::Focused | Presence::Visible) => S::VISIBLE,
@@ -139,6 +215,9 @@ impl Session {
         {
             inner.stage_from_local = stage_from_local;
             inner.pending_local = None;
+        }
+        if self.replay().is_some() {
+            return;
         }
         let recentrings =
             self.instance.config.motion.recentrings(inner.motion_time(self.instance.clock.now()));
@@ -282,8 +361,13 @@ pub(crate) fn create_session(
     });
     instance.lock().session = Arc::downgrade(&session);
     let inner = &mut *session.lock();
-    session.enter(inner, sys::SessionState::IDLE);
-    session.enter(inner, sys::SessionState::READY);
+    match session.instance.config.motion.replay() {
+        Some(replay) if !replay.is_exhausted() => replay.begin_session(),
+        _ => {
+            session.enter(inner, sys::SessionState::IDLE);
+            session.enter(inner, sys::SessionState::READY);
+        }
+    }
     out.set(handle)?;
     Ok(sys::Result::SUCCESS)
 }
@@ -316,7 +400,7 @@ pub(crate) fn begin_session(session: &Session, info: In<sys::SessionBeginInfo>) 
     inner.running = true;
     inner.begun_at.get_or_insert(session.instance.clock.now());
     inner.frames.restart();
-    if session.graphics.is_none() {
+    if session.graphics.is_none() && session.replay().is_none() {
         // Nothing will be synchronized with: a headless session is focused at once (XR_MND_headless).
         for state in [sys::SessionState::SYNCHRONIZED, sys::SessionState::VISIBLE, sys::SessionState::FOCUSED]
         {
@@ -337,6 +421,9 @@ pub(crate) fn end_session(session: &Session) -> XrResult {
     inner.running = false;
     inner.frames.restart();
     session.frame_begun.notify_all();
+    if session.replay().is_some() {
+        return Ok(sys::Result::SUCCESS);
+    }
     session.enter(inner, sys::SessionState::IDLE);
     if inner.exiting {
         session.enter(inner, sys::SessionState::EXITING);
@@ -349,6 +436,25 @@ pub(crate) fn request_exit_session(session: &Session) -> XrResult {
     if !inner.running {
         return Err(sys::Result::ERROR_SESSION_NOT_RUNNING);
     }
-    session.ask_to_exit(inner);
+    // In a recording, what followed the request is there.
+    if session.replay().is_none() {
+        session.ask_to_exit(inner);
+    }
     Ok(sys::Result::SUCCESS)
+}
+
+/// As the specification names it.
+fn session_state(name: &str) -> Option<sys::SessionState> {
+    use sys::SessionState as S;
+    Some(match name {
+        "IDLE" => S::IDLE,
+        "READY" => S::READY,
+        "SYNCHRONIZED" => S::SYNCHRONIZED,
+        "VISIBLE" => S::VISIBLE,
+        "FOCUSED" => S::FOCUSED,
+        "STOPPING" => S::STOPPING,
+        "LOSS_PENDING" => S::LOSS_PENDING,
+        "EXITING" => S::EXITING,
+        _ => return None,
+    })
 }

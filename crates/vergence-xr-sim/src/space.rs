@@ -5,15 +5,16 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use openxr_sys as sys;
 use vergence_geom::Rigid;
+use vergence_sense::{Body, RawLocation};
 use vergence_time::{Span, Timestamp};
 
-use crate::action::Action;
+use crate::action::{Action, hand_of};
 use crate::clock::valid_time;
 use crate::fault::bent_pose;
 use crate::ffi::{Buffer, In, Out, XrResult, array, chained_out};
 use crate::handle::{self, Object};
 use crate::motion::Tracked;
-use crate::pose::{from_xr, to_xr, to_xr_vector};
+use crate::pose::{from_raw, from_xr, to_xr, to_xr_vector};
 use crate::session::Session;
 
 /// What a space is fixed to.
@@ -61,6 +62,29 @@ impl Space {
             Origin::Action(action, subaction) => self.session.action_pose(action, *subaction, at),
         };
         stage_from_origin.map(|stage_from_origin| stage_from_origin * self.origin_from_space)
+    }
+
+    /// The space LOCAL itself.
+    pub(crate) fn is_local(&self) -> bool {
+        matches!(self.origin, Origin::Local) && self.origin_from_space == Rigid::identity()
+    }
+
+    /// What a recording says of where this space is in `base`.
+    fn said(&self, base: &Space, at: Timestamp) -> Option<RawLocation> {
+        let replay = self.session.replay()?;
+        if !base.is_local() || self.origin_from_space != Rigid::identity() {
+            return None;
+        }
+        let body = match &self.origin {
+            Origin::View => Body::Head,
+            Origin::LocalFloor | Origin::Stage => Body::Floor,
+            Origin::Action(action, subaction) => {
+                let hand = hand_of(self.session.instance.lock().paths.text(*subaction).ok()?)?;
+                Body::Action(replay.action(&action.name)?, hand)
+            }
+            Origin::Local => return None,
+        };
+        replay.place(body, at)
     }
 
     fn is(&self, other: &Space) -> bool {
@@ -205,6 +229,14 @@ pub(crate) fn locate_space(
     check_session(space, base)?;
     let location = out.fill()?;
     let at = valid_time(time)?;
+    if let Some(said) = space.said(base, at) {
+        location.location_flags = sys::SpaceLocationFlags::from_raw(u64::from(said.validity.0));
+        location.pose = bent_pose(from_raw(&said.pose));
+        if let Some(out) = chained_out::<sys::SpaceVelocity>(location.next) {
+            out.velocity_flags = sys::SpaceVelocityFlags::EMPTY;
+        }
+        return Ok(sys::Result::SUCCESS);
+    }
     let (pose, flags) = locate(space, base, at);
     location.location_flags = flags;
     location.pose = bent_pose(pose.map_or(sys::Posef::IDENTITY, |pose| to_xr(&pose)));

@@ -5,7 +5,7 @@ use openxr_sys as sys;
 use crate::clock::valid_time;
 use crate::fault::{bent_fov, bent_pose};
 use crate::ffi::{Buffer, In, Out, XrResult};
-use crate::pose::{fov_to_xr, to_xr};
+use crate::pose::{fov_to_xr, from_raw, to_xr};
 use crate::session::Session;
 use crate::space;
 use crate::system::check_view_configuration;
@@ -24,6 +24,15 @@ pub(crate) fn locate_views(
     let base = space::get(info.space)?;
     if !std::ptr::eq(&*base.session, session) {
         return Err(sys::Result::ERROR_VALIDATION_FAILURE);
+    }
+    if let Some(said) = session.replay().filter(|_| base.is_local()).and_then(|replay| replay.views(at)) {
+        state.view_state_flags = F::from_raw(u64::from(said.validity.0));
+        let views = said.views();
+        return buffer.give_typed(views.len(), |index, view| {
+            let [angle_left, angle_right, angle_up, angle_down] = views[index].fov_rad;
+            view.pose = bent_pose(from_raw(&views[index].pose));
+            view.fov = bent_fov(sys::Fovf { angle_left, angle_right, angle_up, angle_down });
+        });
     }
     let head = session.head(at);
     let base = base.stage_from_space(at);

@@ -7,13 +7,13 @@ use openxr::sys;
 use vergence_action::ActionSet;
 use vergence_geom::{Rigid, View};
 use vergence_gpu::{Device, ImageView, vk, vk::Handle as _};
-use vergence_sense::{Gaze, Hand, HandJoints, Haptic, Pose};
+use vergence_sense::{Body, Event, Gaze, Hand, HandJoints, Haptic, Pose, Said};
 use vergence_time::{Span, Timestamp};
 
 use crate::connection::Connection;
 use crate::convert;
 use crate::error::{Error, In, check};
-use crate::event::{Notice, Notices};
+use crate::event::{self, Notice, Notices};
 use crate::hands::Hands;
 use crate::input::{Input, Reading};
 use crate::list::list;
@@ -21,6 +21,7 @@ use crate::located::{Located, Viewpoints};
 use crate::runtime_clock::RuntimeClock;
 use crate::state::{Lifecycle, State, Step};
 use crate::swapchain::{Swapchain, SwapchainDesc};
+use crate::tap::{Ear, Tap, raw_location, raw_views};
 use crate::time_guard::{Prediction, TimeGuard};
 use crate::waiter::Waiter;
 
@@ -125,6 +126,7 @@ pub struct Client {
     /// Begun, not ended.
     begun: Option<Frame>,
     discarded: u64,
+    ear: Ear,
     /// Boxed once: an event is 4 KB.
     events: Box<openxr::EventDataBuffer>,
     // What lives on the session, then the session, then what it was made from: fields are dropped in this order.
@@ -192,6 +194,7 @@ impl Client {
             waited: None,
             begun: None,
             discarded: 0,
+            ear: Ear::default(),
             events: Box::new(openxr::EventDataBuffer::new()),
             input,
             joints,
@@ -228,6 +231,31 @@ impl Client {
         self.discarded
     }
 
+    /// The driver of the device that draws, with its version.
+    pub fn driver(&self) -> &str {
+        &self.device.limits().driver
+    }
+
+    /// From now on `tap` hears what every call of this session says.
+    pub fn set_tap(&mut self, tap: Box<dyn Tap>) {
+        self.ear.0 = Some(tap);
+    }
+
+    /// The tap that hears, where there is one.
+    pub fn tap_mut(&mut self) -> Option<&mut dyn Tap> {
+        self.ear.0.as_deref_mut()
+    }
+
+    /// The tap back, which hears no more.
+    pub fn take_tap(&mut self) -> Option<Box<dyn Tap>> {
+        self.ear.0.take()
+    }
+
+    /// Lets the tap hear something that belongs between the calls, where there is a tap.
+    pub fn tell(&mut self, said: impl FnOnce() -> Said) {
+        self.ear.hear(said);
+    }
+
     /// Follows the runtime's events and says what has happened, oldest first. Call before every frame, and now and then
     /// while no frames are paced.
     ///
@@ -246,6 +274,9 @@ impl Client {
             let polled = clock.during(|| session.instance().poll_event(events));
             let before = self.lifecycle.state();
             let Some(event) = polled.during("xrPollEvent")? else { break };
+            if let Some(said) = event::said(&event, &self.session) {
+                self.ear.hear(|| Said::Event(said));
+            }
             let step = self.notices.take(&event, &mut self.lifecycle, &self.session);
             match step {
                 Step::Nothing => {}
@@ -292,7 +323,8 @@ impl Client {
         if !self.state().is_running() {
             return Ok(());
         }
-        let Self { clock, session, .. } = self;
+        let Self { clock, session, ear, .. } = self;
+        ear.hear(|| Said::Event(Event::new("exit_requested", "")));
         let result = clock.during(|| session.request_exit()).during("xrRequestExitSession");
         self.note(result)
     }
@@ -322,6 +354,18 @@ impl Client {
             self.notices.push(Notice::Time(fault));
         }
         self.reported_fault = prediction.fault.is_some();
+        if prediction.fault.is_some() || prediction.rebased {
+            let at = Some(Timestamp::from_nanos(state.predicted_display_time.as_nanos()));
+            let name = if prediction.rebased { "time_rebased" } else { "time_fault" };
+            self.ear.hear(|| Said::Event(Event { at, ..Event::new(name, "") }));
+        }
+        let early = Span::from_nanos(prediction.period.as_nanos().saturating_neg());
+        self.ear.hear(|| Said::Frame {
+            now: runtime_now.unwrap_or(prediction.display.saturating_add(early)),
+            display: prediction.display,
+            period: prediction.period,
+            should_render: state.should_render,
+        });
         let frame = Frame { prediction, should_render: state.should_render };
         self.waited = Some(frame);
         Ok(frame)
@@ -351,8 +395,9 @@ impl Client {
     /// # Errors
     /// A loss.
     pub fn locate(&mut self, time: Timestamp) -> Result<Option<Located>, Error> {
-        let Self { clock, session, connection, viewpoints, local, .. } = self;
-        let located = clock.during(|| viewpoints.locate(session, connection.view_configuration, local, time));
+        let Self { clock, session, connection, viewpoints, local, ear, .. } = self;
+        let located =
+            clock.during(|| viewpoints.locate(session, connection.view_configuration, local, time, ear));
         self.note(located)
     }
 
@@ -362,9 +407,14 @@ impl Client {
     /// A loss.
     pub fn locate_head(&mut self, time: Timestamp) -> Result<Pose, Error> {
         let Self { clock, head, local, .. } = self;
-        let time = openxr::Time::from_nanos(time.as_nanos());
-        let located = clock.during(|| head.locate(local, time)).during("xrLocateSpace");
+        let at = openxr::Time::from_nanos(time.as_nanos());
+        let located = clock.during(|| head.locate(local, at)).during("xrLocateSpace");
         let located = self.note(located)?;
+        self.ear.hear(|| Said::Place {
+            of: Body::Head,
+            at: time,
+            location: raw_location(located.location_flags, &located.pose),
+        });
         Ok(convert::pose(located.location_flags, &located.pose))
     }
 
@@ -375,9 +425,14 @@ impl Client {
     /// A loss.
     pub fn local_from_floor(&mut self, time: Timestamp) -> Result<Option<Rigid>, Error> {
         let Self { clock, floor: Some(floor), local, .. } = self else { return Ok(None) };
-        let time = openxr::Time::from_nanos(time.as_nanos());
-        let located = clock.during(|| floor.locate(local, time)).during("xrLocateSpace");
+        let at = openxr::Time::from_nanos(time.as_nanos());
+        let located = clock.during(|| floor.locate(local, at)).during("xrLocateSpace");
         let located = self.note(located)?;
+        self.ear.hear(|| Said::Place {
+            of: Body::Floor,
+            at: time,
+            location: raw_location(located.location_flags, &located.pose),
+        });
         let floor = convert::pose(located.location_flags, &located.pose).reference_from_device();
         // Only its height: STAGE may lie and turn anywhere in the room.
         Ok(floor.map(|local_from_floor| Rigid::translation(0.0, local_from_floor.translation.y, 0.0)))
@@ -413,12 +468,12 @@ impl Client {
     /// # Errors
     /// A loss.
     pub fn sync_input(&mut self, time: Timestamp) -> Result<(), Error> {
-        let Self { clock, session, local, input, joints, .. } = self;
+        let Self { clock, session, local, input, joints, ear, .. } = self;
         let synced = clock.during(|| {
             if let Some(input) = input {
-                input.sync(session, local, time)?;
+                input.sync(session, local, time, ear)?;
             }
-            joints.as_mut().map_or(Ok(()), |joints| joints.locate(local, time))
+            joints.as_mut().map_or(Ok(()), |joints| joints.locate(local, time, ear))
         });
         self.note(synced)
     }
@@ -429,6 +484,13 @@ impl Client {
     /// # Errors
     /// A loss, or a call out of order.
     pub fn end(&mut self, frame: &Frame, shown: Option<&Located>) -> Result<(), Error> {
+        self.ear.hear(|| Said::Submitted {
+            display: frame.prediction.display,
+            views: shown.map(|shown| {
+                let views = (0..shown.views().len()).map(|view| shown.raw(view));
+                raw_views(openxr::ViewStateFlags::EMPTY, views)
+            }),
+        });
         let ended = self.release_and_end(frame, shown);
         self.note(ended)
     }
@@ -562,8 +624,9 @@ impl Client {
     /// # Errors
     /// A loss.
     pub fn pulse(&mut self, action: usize, hand: Hand, haptic: &Haptic) -> Result<(), Error> {
-        let Self { clock, session, input, .. } = self;
+        let Self { clock, session, input, ear, .. } = self;
         let Some(input) = input else { return Ok(()) };
+        ear.hear(|| Said::Haptic { action: action as u16, hand, haptic: *haptic });
         let pulsed = clock.during(|| input.pulse(session, action, hand, haptic));
         self.note(pulsed)
     }

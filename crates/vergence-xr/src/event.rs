@@ -52,6 +52,60 @@ impl std::fmt::Display for Notice {
     }
 }
 
+/// An event as a tap hears it: as the runtime said it, before anything was made of it. `None` for what concerns others.
+pub(crate) fn said(
+    event: &Event<'_>,
+    session: &openxr::Session<openxr::Vulkan>,
+) -> Option<vergence_sense::Event> {
+    use vergence_sense::Event as Said;
+    let at = |time: openxr::Time| Some(Timestamp::from_nanos(time.as_nanos()));
+    Some(match event {
+        Event::SessionStateChanged(changed) if changed.session() == session.as_raw() => {
+            let state = session_state_name(changed.state());
+            Said { at: at(changed.time()), ..Said::new("session_state", state) }
+        }
+        Event::ReferenceSpaceChangePending(change) if change.session() == session.as_raw() => {
+            let space = match change.reference_space_type() {
+                ReferenceSpaceType::LOCAL => "LOCAL",
+                ReferenceSpaceType::STAGE => "STAGE",
+                ReferenceSpaceType::LOCAL_FLOOR => "LOCAL_FLOOR",
+                _ => "other",
+            };
+            Said { at: at(change.change_time()), ..Said::new("space_changing", space) }
+        }
+        Event::InstanceLossPending(loss) => {
+            Said { at: at(loss.loss_time()), ..Said::new("instance_loss_pending", "") }
+        }
+        Event::InteractionProfileChanged(_) => Said::new("interaction_profile_changed", ""),
+        Event::VisibilityMaskChangedKHR(_) => Said::new("visibility_mask_changed", ""),
+        Event::DisplayRefreshRateChangedFB(changed) => Said {
+            before: f64::from(changed.from_display_refresh_rate()),
+            after: f64::from(changed.to_display_refresh_rate()),
+            ..Said::new("refresh_rate_changed", "")
+        },
+        Event::EventsLost(lost) => {
+            Said { after: f64::from(lost.lost_event_count()), ..Said::new("events_lost", "") }
+        }
+        _ => return None,
+    })
+}
+
+/// As the specification names it.
+const fn session_state_name(state: openxr::SessionState) -> &'static str {
+    use openxr::SessionState as S;
+    match state {
+        S::IDLE => "IDLE",
+        S::READY => "READY",
+        S::SYNCHRONIZED => "SYNCHRONIZED",
+        S::VISIBLE => "VISIBLE",
+        S::FOCUSED => "FOCUSED",
+        S::STOPPING => "STOPPING",
+        S::LOSS_PENDING => "LOSS_PENDING",
+        S::EXITING => "EXITING",
+        _ => "UNKNOWN",
+    }
+}
+
 /// What has happened and was not asked for yet; allocates once.
 #[derive(Debug)]
 pub(crate) struct Notices(Vec<Notice>);

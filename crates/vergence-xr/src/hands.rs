@@ -1,11 +1,14 @@
 //! The joints of the hands (XR_EXT_hand_tracking).
 
-use vergence_sense::{Hand, HandJoints, JointPose};
+use vergence_sense::{
+    Hand, HandJoints, JOINTS_PER_HAND, JointPose, RawJoint, RawJoints, RawPose, Said, Validity,
+};
 use vergence_time::Timestamp;
 
 use crate::Connection;
 use crate::convert;
 use crate::error::{Error, In};
+use crate::tap::{Ear, raw_location};
 
 /// Trackers of both hands.
 pub(crate) struct Hands {
@@ -30,10 +33,18 @@ impl Hands {
         Ok(Some(Self { trackers, joints: [None; 2] }))
     }
 
-    pub(crate) fn locate(&mut self, local: &openxr::Space, time: Timestamp) -> Result<(), Error> {
-        let time = openxr::Time::from_nanos(time.as_nanos());
-        for (tracker, joints) in self.trackers.iter().zip(&mut self.joints) {
+    pub(crate) fn locate(
+        &mut self,
+        local: &openxr::Space,
+        at: Timestamp,
+        ear: &mut Ear,
+    ) -> Result<(), Error> {
+        let time = openxr::Time::from_nanos(at.as_nanos());
+        for (hand, (tracker, joints)) in
+            Hand::BOTH.into_iter().zip(self.trackers.iter().zip(&mut self.joints))
+        {
             let located = local.locate_hand_joints(tracker, time).during("xrLocateHandJointsEXT")?;
+            ear.hear(|| Said::Joints { hand, at, joints: raw_joints(located.as_ref()) });
             *joints = located.map(|located| {
                 HandJoints(located.map(|joint| JointPose {
                     pose: convert::pose(joint.location_flags, &joint.pose),
@@ -47,4 +58,14 @@ impl Hands {
     pub(crate) fn joints(&self, hand: Hand) -> Option<&HandJoints> {
         self.joints[hand.index()].as_ref()
     }
+}
+
+fn raw_joints(located: Option<&openxr::HandJointLocations>) -> RawJoints {
+    let none = RawJoint { pose: RawPose::IDENTITY, validity: Validity(0), radius_m: 0.0 };
+    let mut joints = [none; JOINTS_PER_HAND];
+    for (joint, located) in joints.iter_mut().zip(located.into_iter().flatten()) {
+        let place = raw_location(located.location_flags, &located.pose);
+        *joint = RawJoint { pose: place.pose, validity: place.validity, radius_m: located.radius };
+    }
+    RawJoints { is_active: located.is_some(), joints }
 }

@@ -2,13 +2,14 @@
 
 use openxr::{Path, Posef};
 use vergence_action::{Action, ActionSet, Kind, PROFILES, suggestions};
-use vergence_sense::{Axis, Button, Gaze, Hand, Haptic, Pose, Vector2};
+use vergence_sense::{Axis, Body, Button, ControlState, Gaze, Hand, Haptic, Pose, Said, Vector2};
 use vergence_time::Timestamp;
 
 use crate::Connection;
 use crate::convert;
 use crate::error::{Error, In};
 use crate::list::list;
+use crate::tap::{Ear, raw_location};
 
 type Session = openxr::Session<openxr::Vulkan>;
 
@@ -113,18 +114,33 @@ impl Input {
         &mut self,
         session: &Session,
         local: &openxr::Space,
-        time: Timestamp,
+        at: Timestamp,
+        ear: &mut Ear,
     ) -> Result<(), Error> {
         session.sync_actions(&[openxr::ActiveActionSet::new(&self.set)]).during("xrSyncActions")?;
-        let time = openxr::Time::from_nanos(time.as_nanos());
-        for (handle, readings) in self.handles.iter().zip(&mut self.readings) {
-            for (index, reading) in readings.iter_mut().enumerate() {
-                *reading = handle.read(session, local, self.hands[index], index, time)?;
+        let time = openxr::Time::from_nanos(at.as_nanos());
+        for (action, (handle, readings)) in self.handles.iter().zip(&mut self.readings).enumerate() {
+            for (hand, reading) in Hand::BOTH.into_iter().zip(readings) {
+                let path = self.hands[hand.index()];
+                let action = action as u16;
+                *reading = handle.read(session, local, path, hand.index(), time, |pose, flags| {
+                    let location = raw_location(flags, pose);
+                    ear.hear(|| Said::Place { of: Body::Action(action, hand), at, location });
+                })?;
+                let state = match *reading {
+                    Reading::Button(button) => ControlState::Button(button),
+                    Reading::Axis(axis) => ControlState::Axis(axis),
+                    Reading::Vector2(vector) => ControlState::Vector2(vector),
+                    Reading::Pose(_) | Reading::Haptic => continue,
+                };
+                ear.hear(|| Said::Control { action, hand, at, state });
             }
         }
         if let Some((action, space)) = &self.gaze {
             self.gaze_pose = if action.is_active(session, Path::NULL).during("xrGetActionStatePose")? {
                 let located = space.locate(local, time).during("xrLocateSpace")?;
+                let location = raw_location(located.location_flags, &located.pose);
+                ear.hear(|| Said::Place { of: Body::Gaze, at, location });
                 convert::pose(located.location_flags, &located.pose)
             } else {
                 Pose::LOST
@@ -275,12 +291,14 @@ impl Handle {
         hand: Path,
         hand_index: usize,
         time: openxr::Time,
+        located: impl FnOnce(&Posef, openxr::SpaceLocationFlags),
     ) -> Result<Reading, Error> {
         Ok(match self {
             Self::Pose(action, spaces) => {
                 if action.is_active(session, hand).during("xrGetActionStatePose")? {
-                    let located = spaces[hand_index].locate(local, time).during("xrLocateSpace")?;
-                    Reading::Pose(convert::pose(located.location_flags, &located.pose))
+                    let place = spaces[hand_index].locate(local, time).during("xrLocateSpace")?;
+                    located(&place.pose, place.location_flags);
+                    Reading::Pose(convert::pose(place.location_flags, &place.pose))
                 } else {
                     self.nothing()
                 }

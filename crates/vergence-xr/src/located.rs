@@ -2,11 +2,12 @@
 
 use openxr::{Fovf, Posef, ViewStateFlags, sys};
 use vergence_geom::{Rigid, View};
-use vergence_sense::Tracking;
+use vergence_sense::{Said, Tracking};
 use vergence_time::Timestamp;
 
 use crate::convert;
 use crate::error::{Error, check};
+use crate::tap::{Ear, raw_views};
 
 /// The eyes of one instant, in LOCAL space, together with what the runtime said, bit for bit.
 #[derive(Clone, Copy, Debug)]
@@ -63,6 +64,7 @@ impl Viewpoints {
         view_configuration_type: openxr::ViewConfigurationType,
         local: &openxr::Space,
         time: Timestamp,
+        ear: &mut Ear,
     ) -> Result<Option<Located>, Error> {
         let info = sys::ViewLocateInfo {
             ty: sys::ViewLocateInfo::TYPE,
@@ -95,6 +97,10 @@ impl Viewpoints {
             )
         };
         check("xrLocateViews", result)?;
+        ear.hear(|| Said::Views {
+            at: time,
+            views: raw_views(state.view_state_flags, views.iter().take(self.count).map(|v| (v.pose, v.fov))),
+        });
         Ok(self.accept(state.view_state_flags, views.map(|view| (view.pose, view.fov))))
     }
 

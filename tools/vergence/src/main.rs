@@ -13,6 +13,7 @@ mod logging;
 mod plan;
 mod quality;
 mod render;
+mod replay;
 mod run;
 mod stream;
 mod trade;
@@ -40,6 +41,7 @@ enum Verb {
     Doctor(doctor::Args),
     Imu(imu::Args),
     Render(render::Args),
+    Replay(replay::Args),
     Run(Box<run::Args>),
     Trade(trade::Args),
 }
@@ -51,6 +53,7 @@ impl Verb {
             Self::Doctor(verb) => verb.run(),
             Self::Imu(verb) => verb.run(),
             Self::Render(verb) => verb.run(),
+            Self::Replay(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
             Self::Trade(verb) => verb.run(),
         }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use vergence_session::{CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RunConfig};
+use vergence_session::{CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig};
 
 use crate::failure::Failure;
 use crate::loading;
@@ -61,6 +61,18 @@ pub struct Args {
     /// Writes every frame's head and eye poses and angles, as located, a JSON object per line
     #[arg(long, value_name = "FILE")]
     log_poses: Option<PathBuf>,
+    /// Records the session; `vergence replay` lives through it again
+    #[arg(long, value_name = "FILE.mcap")]
+    record: Option<PathBuf>,
+    /// Asks the disk to have each part of the recording before the next: as safe from a power cut as from a kill
+    #[arg(long, requires = "record")]
+    durable: bool,
+    /// Hashes every picture, so that a replay can tell whether it draws the same [default: on the simulated headset only]
+    #[arg(long, requires = "record", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    hash_frames: Option<bool>,
+    /// Puts the scene's files into the recording
+    #[arg(long, requires = "record")]
+    attach_scene: bool,
     /// Quality, as `vergence trade render` writes it
     #[arg(long, value_name = "FILE.toml")]
     quality: Option<PathBuf>,
@@ -82,7 +94,7 @@ pub struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Headset {
+pub enum Headset {
     /// A real runtime with a headset where there is one, else the simulated one
     Auto,
     /// The system's OpenXR runtime
@@ -163,6 +175,12 @@ impl Args {
                 .as_ref()
                 .map(|dir| CaptureConfig { dir: dir.clone(), every: self.capture_every }),
             log_poses: self.log_poses.clone(),
+            record: self.record.as_ref().map(|path| RecordConfig {
+                path: path.clone(),
+                durable: self.durable,
+                hash_frames: self.hash_frames,
+                attach_scene: self.attach_scene,
+            }),
             hand_joints: self.with.contains(&Stream::Hands),
             eye_gaze: self.with.contains(&Stream::Gaze),
             refresh_rate_hz: self.refresh_rate,

@@ -1,6 +1,7 @@
 //! What moves the simulated headset: pose providers, pure functions of time.
 
 mod file;
+mod replay;
 mod script;
 mod still;
 mod track;
@@ -15,6 +16,8 @@ use vergence_time::Timestamp;
 use crate::Error;
 
 pub use file::{BUILT_IN_MOTIONS, Motion};
+pub(crate) use replay::Next;
+pub use replay::{EXIT_REQUESTED, Replay, SESSION_BEGINS};
 pub use script::Script;
 pub use still::Still;
 pub use trajectory::{AtEnd, Gaps, Sample, Trajectory};
@@ -175,6 +178,11 @@ pub trait PoseProvider: Send + Sync {
     /// How often the user has recentred the headset from motion time 0 to `at`.
     fn recentrings(&self, _at: Timestamp) -> u64 {
         0
+    }
+
+    /// The recording that is said again, where this is one: its answers go before all else.
+    fn replay(&self) -> Option<&Replay> {
+        None
     }
 
     /// When the motion is over and the runtime asks the application to end; `None` for a motion without end.

@@ -1,0 +1,282 @@
+//! Writes a session's log: which stream each thing that was said goes to.
+
+use vergence_action::{ActionSet, Kind};
+use vergence_log::{Header, Options, Recorder, Stream, StreamDesc, Times};
+use vergence_sense::{
+    Axis, Body, Button, ControlState, Event, FrameHash, FrameTiming, Hand, Haptic, RawJoints, RawLocation,
+    RawViews, Said, Scalar, Vector2,
+};
+use vergence_time::{Span, Timestamp};
+use vergence_xr::Client;
+
+use crate::book::SessionNow;
+use crate::config::RecordConfig;
+use crate::error::Error;
+use crate::headset::Chosen;
+use crate::provenance;
+use crate::report::RecordReport;
+use crate::resolved::Resolved;
+use crate::run::Run;
+
+/// Names of the streams of a session log.
+pub(crate) mod name {
+    pub(crate) const EVENTS: &str = "/session/events";
+    pub(crate) const TIMING: &str = "/frame/timing";
+    pub(crate) const HASHES: &str = "/frame/hashes";
+    pub(crate) const VIEWS: &str = "/views/located";
+    pub(crate) const SUBMITTED: &str = "/views/submitted";
+    pub(crate) const HEAD: &str = "/head";
+    pub(crate) const FLOOR: &str = "/floor";
+    pub(crate) const GAZE: &str = "/gaze";
+    pub(crate) const JOINTS: [&str; 2] = ["/hand/left/joints", "/hand/right/joints"];
+    /// `/action/NAME/HAND`
+    pub(crate) const ACTION: &str = "/action/";
+}
+
+/// The reference frame of every pose: OpenXR's LOCAL.
+const LOCAL: &str = "local";
+
+enum ActionStream {
+    Place(Stream<RawLocation>),
+    Button(Stream<Button>),
+    Axis(Stream<Axis>),
+    Vector2(Stream<Vector2>),
+    Haptic(Stream<Haptic>),
+}
+
+/// A recording in progress.
+pub(crate) struct Recording {
+    recorder: Recorder,
+    now: SessionNow,
+    is_virtual: bool,
+    timing: Option<FrameTiming>,
+    events: Stream<Event>,
+    timings: Stream<FrameTiming>,
+    hashes: Option<Stream<FrameHash>>,
+    views: Stream<RawViews>,
+    submitted: Stream<RawViews>,
+    head: Stream<RawLocation>,
+    floor: Stream<RawLocation>,
+    gaze: Option<Stream<RawLocation>>,
+    joints: Option<[Stream<RawJoints>; 2]>,
+    /// By the action's place; left, right.
+    actions: Vec<[ActionStream; 2]>,
+    diagnostics: [Stream<Scalar>; 3],
+}
+
+/// What a session has, and so its log.
+struct Contents<'a> {
+    actions: &'a ActionSet,
+    hand_joints: bool,
+    eye_gaze: bool,
+    hashes: bool,
+    /// The session's clock stands still between frames.
+    is_virtual: bool,
+}
+
+impl Recording {
+    /// Starts the recording of a run whose first session has just been made.
+    pub(crate) fn begin(
+        run: &mut Run<'_>,
+        config: &RecordConfig,
+        chosen: &Chosen,
+        client: &Client,
+        hashes: bool,
+    ) -> Result<Self, Error> {
+        let actions: Vec<String> =
+            run.plan.actions.actions.iter().map(|action| action.name.to_owned()).collect();
+        let resolved = Resolved {
+            hash_frames: hashes,
+            build: if hashes { provenance::build() } else { String::new() },
+            ..Resolved::of(&run.config, &chosen.profile, chosen.is_simulated, actions)
+        };
+        let is_virtual = resolved.simulated && !resolved.real_time;
+        let configuration =
+            serde_json::to_string(&resolved).map_err(|error| Error::Call(error.to_string()))?;
+        let header = Header {
+            application: concat!("vergence ", env!("CARGO_PKG_VERSION")).to_owned(),
+            headset: run.report.headset.clone(),
+            runtime: run.report.runtime.clone(),
+            device: run.report.device.clone(),
+            driver: client.driver().to_owned(),
+            clock: if is_virtual { "virtual" } else { "monotonic" }.to_owned(),
+            scene_path: provenance::scene_path(&run.scene),
+            scene_hash: provenance::scene_hash(&run.scene)?,
+            configuration,
+            ..Header::default()
+        };
+        let contents = Contents {
+            actions: &run.plan.actions,
+            hand_joints: run.config.hand_joints,
+            eye_gaze: run.config.eye_gaze,
+            hashes,
+            is_virtual,
+        };
+        let recording = Self::create(config, &header, &contents)?;
+        if config.attach_scene {
+            recording.attach(&provenance::named_files(&run.scene));
+        }
+        let path = config.path.display().to_string();
+        run.report.recording = Some(RecordReport { path, ..RecordReport::default() });
+        Ok(recording)
+    }
+
+    fn create(
+        config: &RecordConfig,
+        header: &Header,
+        contents: &Contents<'_>,
+    ) -> Result<Self, vergence_log::Error> {
+        let options = Options { durable: config.durable, ..Options::default() };
+        let mut recorder = Recorder::create(&config.path, header, &options)?;
+        let local = |name: &str| StreamDesc::new(name).frame(LOCAL);
+        let host = |name: &str| StreamDesc::new(name).unit("ms").host_time();
+        let mut actions = Vec::with_capacity(contents.actions.actions.len());
+        for action in &contents.actions.actions {
+            let mut of = |hand: Hand| -> Result<ActionStream, vergence_log::Error> {
+                let desc = StreamDesc::new(format!("{}{}/{}", name::ACTION, action.name, hand.name()));
+                Ok(match action.kind {
+                    Kind::Pose => ActionStream::Place(recorder.stream(&desc.frame(LOCAL))?),
+                    Kind::Button => ActionStream::Button(recorder.stream(&desc)?),
+                    Kind::Axis => ActionStream::Axis(recorder.stream(&desc)?),
+                    Kind::Vector2 => ActionStream::Vector2(recorder.stream(&desc)?),
+                    Kind::Haptic => ActionStream::Haptic(recorder.stream(&desc)?),
+                })
+            };
+            actions.push([of(Hand::Left)?, of(Hand::Right)?]);
+        }
+        let joints = if contents.hand_joints {
+            let [left, right] = name::JOINTS;
+            Some([recorder.stream(&local(left))?, recorder.stream(&local(right))?])
+        } else {
+            None
+        };
+        Ok(Self {
+            now: SessionNow::new(Timestamp::default(), contents.is_virtual),
+            is_virtual: contents.is_virtual,
+            timing: None,
+            events: recorder.stream(&StreamDesc::new(name::EVENTS))?,
+            timings: recorder.stream(&StreamDesc::new(name::TIMING))?,
+            hashes: contents.hashes.then(|| recorder.stream(&StreamDesc::new(name::HASHES))).transpose()?,
+            views: recorder.stream(&local(name::VIEWS))?,
+            submitted: recorder.stream(&local(name::SUBMITTED))?,
+            head: recorder.stream(&local(name::HEAD))?,
+            floor: recorder.stream(&local(name::FLOOR))?,
+            gaze: contents.eye_gaze.then(|| recorder.stream(&local(name::GAZE))).transpose()?,
+            joints,
+            actions,
+            diagnostics: [
+                recorder.stream(&host("/diagnostics/frame_cpu"))?,
+                recorder.stream(&host("/diagnostics/pose_age"))?,
+                recorder.stream(&host("/diagnostics/recording"))?,
+            ],
+            recorder,
+        })
+    }
+
+    /// Keeps one thing that was said. Neither waits nor allocates once the largest message has been seen.
+    pub(crate) fn hear(&mut self, said: &Said, frame: u64) {
+        let now = self.now.read();
+        let Self { recorder, .. } = self;
+        match said {
+            Said::Event(event) => recorder.write(&self.events, Times::at(now), event),
+            Said::Frame { now, display, period, should_render } => {
+                self.now = SessionNow::new(*now, self.is_virtual);
+                self.timing = Some(FrameTiming {
+                    frame,
+                    wait_returned: *now,
+                    begun: *now,
+                    submitted: None,
+                    predicted_display: *display,
+                    predicted_period: *period,
+                    should_render: *should_render,
+                    presented: None,
+                });
+            }
+            Said::Views { at, views } => recorder.write(&self.views, Times::new(*at, now), views),
+            Said::Place { of, at, location } => {
+                let stream = match of {
+                    Body::Head => Some(&self.head),
+                    Body::Floor => Some(&self.floor),
+                    Body::Gaze => self.gaze.as_ref(),
+                    Body::Action(action, hand) => match self.actions.get(usize::from(*action)) {
+                        Some(hands) => match &hands[hand.index()] {
+                            ActionStream::Place(stream) => Some(stream),
+                            _ => None,
+                        },
+                        None => None,
+                    },
+                };
+                if let Some(stream) = stream {
+                    recorder.write(stream, Times::new(*at, now), location);
+                }
+            }
+            Said::Control { action, hand, at, state } => {
+                let Some(hands) = self.actions.get(usize::from(*action)) else { return };
+                let times = Times::new(*at, now);
+                match (&hands[hand.index()], state) {
+                    (ActionStream::Button(stream), ControlState::Button(value)) => {
+                        recorder.write(stream, times, value);
+                    }
+                    (ActionStream::Axis(stream), ControlState::Axis(value)) => {
+                        recorder.write(stream, times, value);
+                    }
+                    (ActionStream::Vector2(stream), ControlState::Vector2(value)) => {
+                        recorder.write(stream, times, value);
+                    }
+                    _ => {}
+                }
+            }
+            Said::Joints { hand, at, joints } => {
+                if let Some(streams) = &self.joints {
+                    recorder.write(&streams[hand.index()], Times::new(*at, now), joints);
+                }
+            }
+            Said::Haptic { action, hand, haptic } => {
+                if let Some(ActionStream::Haptic(stream)) =
+                    self.actions.get(usize::from(*action)).map(|hands| &hands[hand.index()])
+                {
+                    recorder.write(stream, Times::at(now), haptic);
+                }
+            }
+            Said::Hash(hash) => {
+                if let Some(stream) = &self.hashes {
+                    recorder.write(stream, Times::at(now), hash);
+                }
+            }
+            Said::Submitted { display, views } => {
+                if let Some(views) = views {
+                    recorder.write(&self.submitted, Times::new(*display, now), views);
+                }
+                // Last: a frame whose times are there is whole.
+                if let Some(timing) = self.timing.take() {
+                    let timing = FrameTiming { submitted: views.map(|_| now), ..timing };
+                    recorder.write(&self.timings, Times::new(*display, now), &timing);
+                }
+            }
+        }
+    }
+
+    pub(crate) fn diagnose(&mut self, cpu: Span, pose_age: Span, recording: Span) {
+        let times = Times::at(self.now.read());
+        for (stream, span) in self.diagnostics.iter().zip([cpu, pose_age, recording]) {
+            self.recorder.write(stream, times, &Scalar(span.as_millis_f64()));
+        }
+    }
+
+    /// Why nothing is recorded any more; said once.
+    pub(crate) fn failure(&mut self) -> Option<vergence_log::Error> {
+        self.recorder.failure()
+    }
+
+    /// Puts the scene's files into the log.
+    pub(crate) fn attach(&self, files: &[(String, std::path::PathBuf)]) {
+        for (name, path) in files {
+            self.recorder.attach(name, "application/octet-stream", path);
+        }
+    }
+
+    /// Writes what is left and ends the file.
+    pub(crate) fn finish(self) -> Result<vergence_log::Status, vergence_log::Error> {
+        self.recorder.finish()
+    }
+}

@@ -1,0 +1,116 @@
+//! `vergence replay`: lives through a recorded session again.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use vergence_session::{CaptureConfig, Happening, HeadsetChoice, ReplayConfig, SessionLog};
+
+use crate::failure::Failure;
+use crate::loading;
+use crate::run::Headset;
+
+/// Lives through a recorded session again: the same client and renderer, on a simulated headset that says what was said
+#[derive(clap::Args)]
+pub struct Args {
+    /// A session that `vergence run --record` wrote
+    log: PathBuf,
+    /// The scene [default: where it was recorded, else as attached to the log]
+    #[arg(long, value_name = "PATH")]
+    scene: Option<PathBuf>,
+    /// How fast: 1 as recorded, N times as fast, or max
+    #[arg(long, value_name = "1|N|max", default_value = "max", value_parser = speed)]
+    speed: Speed,
+    /// Writes stereo pictures, the poses they were seen from, and the report into a folder
+    #[arg(long, value_name = "DIR")]
+    capture: Option<PathBuf>,
+    /// Compares every call, event, submitted view and picture with the recording; a difference is a failure
+    #[arg(long)]
+    verify: bool,
+    /// On which headset; only the simulated one can follow a recording's clock
+    #[arg(long, value_enum, default_value_t = Headset::Simulated)]
+    headset: Headset,
+    /// Runs under Vulkan validation with synchronization validation; a message is a failure
+    #[arg(long)]
+    validate: bool,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// As fast as the machine can where there is no number.
+#[derive(Clone, Copy, Debug)]
+struct Speed(Option<f64>);
+
+fn speed(text: &str) -> Result<Speed, String> {
+    if text == "max" {
+        return Ok(Speed(None));
+    }
+    match text.parse::<f64>() {
+        Ok(speed) if speed > 0.0 && speed.is_finite() => Ok(Speed(Some(speed))),
+        _ => Err("expected max or a positive number".into()),
+    }
+}
+
+impl Args {
+    /// Replays the session and prints how that went.
+    pub fn run(self) -> Result<(), Failure> {
+        let failed = |error: vergence_session::Error| {
+            if error.is_wrong_call() { Failure::call(&error) } else { Failure::work(&error) }
+        };
+        let headset = match self.headset {
+            Headset::Openxr => HeadsetChoice::OpenXr,
+            Headset::Auto | Headset::Simulated => HeadsetChoice::Simulated,
+        };
+        let log = SessionLog::open(&self.log).map_err(failed)?;
+        let unpacked = tempfile::tempdir().map_err(|error| Failure::work(&error))?;
+        let scene = match (&self.scene, log.scene_path()) {
+            (Some(path), _) => loading::scene(path)?,
+            (None, Some(path)) if path.is_file() => loading::scene(path)?,
+            (None, recorded) => match log.unpack_scene(unpacked.path()).map_err(failed)? {
+                Some(path) => loading::scene(&path)?,
+                None => {
+                    let found = recorded.map_or_else(
+                        || "a recording without a scene".to_owned(),
+                        |path| format!("none at {} and none attached", path.display()),
+                    );
+                    return Err(Failure::Call(format!(
+                        "expected the recorded scene, found {found}: name it with --scene"
+                    )));
+                }
+            },
+        };
+        let config = ReplayConfig {
+            speed: self.speed.0,
+            capture: self.capture.as_ref().map(|dir| CaptureConfig { dir: dir.clone(), every: None }),
+            verify: self.verify,
+            headset,
+            validation: self.validate,
+        };
+        let bar = ProgressBar::new_spinner();
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {pos} frames, {per_sec}") {
+            bar.set_style(style);
+        }
+        let mut watch = |happening: Happening<'_>| match happening {
+            Happening::Said(sentence) => bar.suspend(|| eprintln!("{sentence}")),
+            Happening::Frame { shown, .. } => bar.set_position(shown),
+        };
+        let replayed = vergence_session::replay(&log, &Arc::new(scene), &config, &mut watch);
+        bar.finish_and_clear();
+        let report = replayed.map_err(failed)?;
+        if self.json {
+            println!("{}", serde_json::to_string(&report).map_err(|error| Failure::work(&error))?);
+        } else {
+            print!("{report}");
+        }
+        match (&report.comparison.first_difference, report.run.validation_messages) {
+            (Some(difference), _) => {
+                Err(Failure::Work(format!("the replay differs from the recording: {difference}")))
+            }
+            (None, Some(count @ 1..)) => {
+                Err(Failure::Work(format!("Vulkan validation: expected no message, found {count}")))
+            }
+            (None, _) => Ok(()),
+        }
+    }
+}
