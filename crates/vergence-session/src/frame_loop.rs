@@ -409,6 +409,13 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
         session.first_display = None;
     }
     if leaving || !frame.should_render {
+        if !leaving && session.client.state() == (State::Running { visible: true, focused: true }) {
+            // Nobody looks, but the hands are still ours.
+            session.client.locate(display)?;
+            session.client.sync_input(display)?;
+            let head = session.client.locate_head(display)?.reference_from_device();
+            follow_user(run, session, &frame, head.as_ref())?;
+        }
         session.client.end(&frame, None)?;
         return Ok(Outcome::Unasked);
     }

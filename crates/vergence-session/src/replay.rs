@@ -14,7 +14,7 @@ use crate::config::{CaptureConfig, HeadsetChoice, RunConfig};
 use crate::error::Error;
 use crate::provenance::scene_hash;
 use crate::resolved::Resolved;
-use crate::run::{Again, Happening, run_again};
+use crate::run::{Again, Happening, MakeVerifier, run_again};
 use crate::said_log::{Frames, Trouble};
 use crate::verify::{Comparison, Verifier};
 use crate::{RunReport, provenance};
@@ -191,7 +191,7 @@ pub fn replay(
         hash: config.verify && log.resolved.hash_frames,
         verifier: expected.map(|expected| {
             let log = log.clone();
-            let made: Box<dyn FnOnce(&str) -> Verifier> =
+            let made: MakeVerifier =
                 Box::new(move |device| Verifier::new(expected, log.images_not_compared(device)));
             made
         }),

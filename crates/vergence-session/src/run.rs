@@ -54,6 +54,9 @@ pub(crate) struct Run<'a> {
     pub(crate) watch: &'a mut dyn FnMut(Happening<'_>),
 }
 
+/// Makes the comparison for a device of this name.
+pub(crate) type MakeVerifier = Box<dyn FnOnce(&str) -> Verifier>;
+
 /// What a replay adds to a run.
 pub(crate) struct Again {
     /// Moves the simulated headset.
@@ -63,7 +66,7 @@ pub(crate) struct Again {
     /// Whether pictures are hashed.
     pub(crate) hash: bool,
     /// Makes the comparison once it is known on which device; `None` where none is asked for.
-    pub(crate) verifier: Option<Box<dyn FnOnce(&str) -> Verifier>>,
+    pub(crate) verifier: Option<MakeVerifier>,
 }
 
 impl Run<'_> {
@@ -205,10 +208,11 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
     let (watch, notices) = (&mut *run.watch, &mut run.report.notices);
     let by_hand = run.desk.as_ref().map(Desk::user);
     let again = run.again.as_ref();
-    let chosen = headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, again, &mut |sentence| {
-        watch(Happening::Said(sentence));
-        notices.push(sentence.to_owned());
-    })?;
+    let chosen =
+        headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, again, &mut |sentence| {
+            watch(Happening::Said(sentence));
+            notices.push(sentence.to_owned());
+        })?;
     run.config.headset = if chosen.is_simulated { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
     run.config.wait_s = run.config.wait_s.max(COME_BACK_S);
     if run.report.headset.is_empty() {

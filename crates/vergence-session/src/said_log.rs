@@ -113,6 +113,7 @@ impl Iterator for Frames {
     }
 }
 
+#[expect(clippy::large_enum_variant, reason = "it is taken apart at once; a box would allocate per message")]
 enum Taken {
     Said(Said),
     Submitted(RawViews),

@@ -1,0 +1,321 @@
+//! A session is recorded, and lived through again: the same in every bit, or it is said where not.
+
+#![allow(unsafe_code, reason = "an allocator that counts is an unsafe trait")]
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use vergence_geom::{Affine, Rigid};
+use vergence_scene::Scene;
+use vergence_scene::model::{Local, Material, Mesh, Node, Primitive, Shading, Touchable};
+use vergence_session::{
+    Happening, HeadsetChoice, RecordConfig, ReplayConfig, ReplayReport, RunConfig, SessionLog, replay, run,
+};
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+        // SAFETY: as the caller's.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as the caller's.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+fn has_vulkan() -> bool {
+    let required =
+        std::env::var("VERGENCE_REQUIRE").unwrap_or_default().split(',').any(|r| r.trim() == "vulkan");
+    let instance = vergence_gpu::Instance::new(&vergence_gpu::InstanceDesc::default(), None);
+    let device =
+        instance.and_then(|i| vergence_gpu::Device::new(&i, &vergence_gpu::DeviceDesc::default(), None));
+    match device {
+        Ok(_) => true,
+        Err(error) if required => panic!("VERGENCE_REQUIRE names vulkan, but: {error}"),
+        Err(error) => {
+            println!("skipped: no Vulkan device ({error})");
+            false
+        }
+    }
+}
+
+/// A triangle that can be touched, ahead of the user.
+fn triangle() -> Arc<Scene> {
+    let node = Node {
+        name: "triangle".into(),
+        parent: None,
+        parent_from_node: Local::Matrix(Affine::from(Rigid::translation(0.0, 1.6, -1.5))),
+        mesh: Some(0),
+        skin: None,
+        light: None,
+        camera: None,
+        label: None,
+    };
+    let primitive = Primitive {
+        positions: vec![[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.0, 0.5, 0.0]],
+        normals: vec![[0.0, 0.0, 1.0]; 3],
+        indices: vec![0, 1, 2],
+        ..Primitive::default()
+    };
+    Arc::new(Scene {
+        name: "triangle".into(),
+        nodes: vec![node],
+        meshes: vec![Mesh { name: "triangle".into(), primitives: vec![primitive] }],
+        materials: vec![Material { shading: Shading::Unlit, ..Material::default() }],
+        world_from_start: Some(Rigid::identity()),
+        touchables: vec![Touchable { name: "triangle".into(), node: 0 }],
+        ..Scene::default()
+    })
+}
+
+/// What the user does in so many milliseconds: everything that there is.
+fn script(ms: u32, headset: &str) -> String {
+    format!(
+        r#"
+        at-end = "stop"
+        duration = "{ms} ms"
+        [[head]]
+        time = "0 s"
+        position = ["0 m", "1.6 m", "0 m"]
+        turned = {{ yaw = "-20 deg" }}
+        [[head]]
+        time = "{ms} ms"
+        position = ["0.1 m", "1.5 m", "-0.2 m"]
+        turned = {{ yaw = "25 deg", pitch = "-10 deg", roll = "3 deg" }}
+        [[right]]
+        time = "0 s"
+        position = ["0.2 m", "1.4 m", "-0.3 m"]
+        turned = {{ pitch = "40 deg" }}
+        trigger = 0.0
+        squeeze = 0.0
+        [[right]]
+        time = "100 ms"
+        trigger = 0.9
+        squeeze = 0.3
+        primary = true
+        [[right]]
+        time = "200 ms"
+        trigger = 0.1
+        tracking = "held"
+        [[left]]
+        time = "50 ms"
+        stick = [0.1, -1.0]
+        menu = true
+        [[left]]
+        time = "250 ms"
+        stick = [0.7, 0.2]
+        {headset}
+        "#
+    )
+}
+
+struct Bench {
+    folder: tempfile::TempDir,
+    log: PathBuf,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let log = folder.path().join("session.mcap");
+        Self { folder, log }
+    }
+
+    fn config(&self, script: &str) -> RunConfig {
+        let (profile, motion) =
+            (self.folder.path().join("small.toml"), self.folder.path().join("script.toml"));
+        let text = r#"
+            name = "small"
+            resolution = [64, 60]
+            rates = ["90 Hz"]
+            ipd = "64 mm"
+            [left]
+            fov = { left = "-48 deg", right = "42 deg", up = "44 deg", down = "-46 deg" }
+        "#;
+        std::fs::write(&profile, text).unwrap();
+        std::fs::write(&motion, script).unwrap();
+        RunConfig {
+            headset: HeadsetChoice::Simulated,
+            profile: Some(profile.to_str().unwrap().to_owned()),
+            motion: Some(motion.to_str().unwrap().to_owned()),
+            quality: vergence_render::Quality { msaa: 1, timestamps: false, ..Default::default() },
+            record: Some(RecordConfig {
+                path: self.log.clone(),
+                durable: false,
+                hash_frames: None,
+                attach_scene: false,
+            }),
+            ..RunConfig::default()
+        }
+    }
+
+    fn replay(&self, speed: Option<f64>) -> ReplayReport {
+        let log = SessionLog::open(&self.log).unwrap();
+        let config = ReplayConfig { verify: true, speed, ..ReplayConfig::default() };
+        replay(&log, &triangle(), &config, &mut |_| {}).unwrap()
+    }
+}
+
+fn assert_equal(report: &ReplayReport, frames: u64) {
+    let c = &report.comparison;
+    assert_eq!(c.first_difference, None);
+    assert_eq!((c.frames, c.frames_equal), (frames, frames));
+    assert_eq!(c.events, c.events_equal);
+    assert!(c.events >= 7, "{} events", c.events);
+    assert!(report.complete && report.damage.is_none());
+}
+
+#[test]
+fn a_whole_session_is_lived_through_again() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let headset = r#"
+        [[headset]]
+        time = "150 ms"
+        recentre = true
+        [[headset]]
+        time = "300 ms"
+        presence = "hidden"
+        [[headset]]
+        time = "350 ms"
+        presence = "away"
+        [[headset]]
+        time = "450 ms"
+        presence = "focused"
+    "#;
+    let report = run(&triangle(), &bench.config(&script(600, headset)), &mut |_| {}).unwrap();
+    let recording = report.recording.as_ref().unwrap();
+    assert_eq!((recording.dropped, recording.error.as_ref()), (0, None));
+    assert!(report.frames > 20 && report.paced > report.frames);
+    assert!(report.touches.iter().any(|touch| touch.what == "pointed"), "{:?}", report.touches);
+
+    let again = bench.replay(None);
+    assert_equal(&again, report.paced);
+    let c = &again.comparison;
+    assert_eq!(
+        (c.images_not_compared.as_ref(), c.images, c.images_equal),
+        (None, 2 * report.frames, c.images)
+    );
+    assert_eq!((again.run.frames, &again.run.states), (report.frames, &report.states));
+    assert_eq!(again.run.touches, report.touches);
+    // At the speed of the recording it takes as long as that did: 0.6 s less the time off the head.
+    let slow = bench.replay(Some(1.0));
+    assert_equal(&slow, report.paced);
+    assert!(slow.host_seconds >= 0.5, "{} s", slow.host_seconds);
+
+    // A live headset has a clock of its own.
+    let log = SessionLog::open(&bench.log).unwrap();
+    let live = ReplayConfig { headset: HeadsetChoice::OpenXr, ..ReplayConfig::default() };
+    let refused = replay(&log, &triangle(), &live, &mut |_| {}).unwrap_err();
+    assert!(refused.is_wrong_call() && refused.to_string().contains("wall clock"), "{refused}");
+}
+
+/// A recording that is cut off anywhere is replayed as far as it goes; what is there is equal.
+#[test]
+fn a_recording_that_was_cut_off_goes_as_far_as_it_goes() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let undrawn = "[[headset]]\ntime = \"0 s\"\nrender = false";
+    let config = bench.config(&script(2000, undrawn));
+    run(&triangle(), &config, &mut |_| {}).unwrap();
+    let whole = std::fs::read(&bench.log).unwrap();
+    for part in [0.5, 0.9] {
+        std::fs::write(&bench.log, &whole[..(whole.len() as f64 * part) as usize]).unwrap();
+        let Ok(log) = SessionLog::open(&bench.log) else { continue };
+        let config = ReplayConfig { verify: true, ..ReplayConfig::default() };
+        let report = replay(&log, &triangle(), &config, &mut |_| {}).unwrap();
+        assert!(!report.complete, "{part}");
+        let c = &report.comparison;
+        assert_eq!((c.first_difference.as_ref(), c.frames), (None, c.frames_equal), "{part}");
+        assert_eq!(report.run.state, "exiting", "{part}");
+    }
+}
+
+/// So many replays as `VERGENCE_REPLAYS` says, by default fewer than a release asks for: nothing is drawn.
+#[test]
+fn thirty_frames_over_and_over() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let undrawn = "[[headset]]\ntime = \"0 s\"\nrender = false";
+    let report = run(&triangle(), &bench.config(&script(323, undrawn)), &mut |_| {}).unwrap();
+    assert_eq!((report.frames, report.paced), (0, 30));
+    let times = std::env::var("VERGENCE_REPLAYS").ok().and_then(|n| n.parse().ok()).unwrap_or(30);
+    let began = std::time::Instant::now();
+    for _ in 0..times {
+        assert_equal(&bench.replay(None), 30);
+    }
+    println!("{times} replays of 30 frames: equal, {:.1} s", began.elapsed().as_secs_f64());
+}
+
+/// A recording that cannot be made is said once, and the session goes on.
+#[test]
+fn a_path_that_cannot_be_written_takes_nothing_from_the_session() {
+    if !has_vulkan() {
+        return;
+    }
+    for path in ["/proc/no-such-folder/session.mcap", "/dev/full"] {
+        let bench = Bench::new();
+        let mut config = bench.config(&script(400, ""));
+        config.record.as_mut().unwrap().path = path.into();
+        let mut said = Vec::new();
+        let report = run(&triangle(), &config, &mut |happening| {
+            if let Happening::Said(sentence) = happening {
+                said.push(sentence.to_owned());
+            }
+        })
+        .unwrap();
+        assert!(report.frames > 30, "{path}");
+        let error = report.recording.unwrap().error.unwrap();
+        assert_eq!(said.iter().filter(|sentence| sentence.contains(path)).count(), 1, "{said:?}");
+        assert!(error.contains(path), "{error}");
+    }
+}
+
+/// After the first second, recording allocates nothing on the frame's thread: frames allocate as they do without it.
+#[test]
+fn recording_allocates_nothing_per_frame() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let mut config = bench.config(&script(3000, ""));
+    let count = |config: &RunConfig| {
+        let (mut before, mut most, mut frames) = (0, 0, 0u64);
+        let report = run(&triangle(), config, &mut |happening| {
+            let now = ALLOCATIONS.get();
+            if let Happening::Frame { shown: 100.., .. } = happening {
+                most = most.max(now - before);
+                frames += 1;
+            }
+            before = now;
+        });
+        (most, frames, report.unwrap())
+    };
+    let (recorded, frames, report) = count(&config);
+    assert!(frames > 100);
+    let cost = report.recording.unwrap();
+    println!("recording: p50 {:.1}, p95 {:.1} us per frame", cost.frame_us.p50, cost.frame_us.p95);
+    config.record = None;
+    let (plain, _, _) = count(&config);
+    assert_eq!(recorded, plain, "most allocations of a frame, with and without a recording");
+}
