@@ -15,5 +15,5 @@ mod score;
 mod still;
 
 pub use error::Error;
-pub use reader::{RATES_HZ, Recording, Truth, read_orientations, write_orientations};
+pub use reader::{RATES_HZ, Recording, Truth, read_orientations, read_tum_orientations, write_orientations};
 pub use score::{Pair, Score, score};

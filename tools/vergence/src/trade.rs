@@ -1,5 +1,6 @@
 //! `vergence trade`: what quality costs, measured, and the setting that fits a budget.
 
+mod imu;
 mod measure;
 mod studio;
 
@@ -34,6 +35,11 @@ enum What {
     /// trade.html, trade.json, a plot (.svg), truth and cheapest picture (.png) for each scene, and with --budget or
     /// --error quality.toml.
     Render(RenderTrade),
+    /// Every orientation filter, each at several positions of its main knob: time per sample against degrees
+    ///
+    /// Means over recordings with a truth. Written to the folder: trade.html, trade.json, a plot for 9 and one for 6 axes
+    /// (.svg).
+    Imu(imu::ImuTrade),
 }
 
 impl Args {
@@ -41,6 +47,7 @@ impl Args {
     pub fn run(self) -> Result<(), Failure> {
         match self.what {
             What::Render(trade) => trade.run(),
+            What::Imu(trade) => trade.run(),
         }
     }
 }

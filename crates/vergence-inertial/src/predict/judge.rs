@@ -5,6 +5,8 @@ use vergence_geom::{log, slerp};
 use vergence_time::{Span, Timestamp};
 
 use super::Method;
+use crate::Recording;
+use crate::filter::Filter;
 
 /// A recording as a predictor sees it, and what it is judged by.
 #[derive(Clone, Debug, Default)]
@@ -70,29 +72,70 @@ fn at(
     Some(slerp(&value(before)?, &value(next)?, part))
 }
 
-/// Runs `method` over `track` and compares each prediction `horizon` ahead with the estimate of then, and, where there is
-/// one, with the truth: of it, the way since the prediction was made is compared, so that the filter's own error does
-/// not count. `None` where nothing could be judged.
-pub fn judge(method: Method, track: &Track, horizon: Span) -> (Option<Judgement>, Option<Judgement>) {
+/// How one method did at one horizon.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct AtHorizon {
+    /// Against what the filter later says itself; `None` where nothing could be judged.
+    pub by_estimate: Option<Judgement>,
+    /// Against the truth: the way since the prediction was made is compared, so that the filter's own error does not
+    /// count. `None` where there is no truth.
+    pub by_truth: Option<Judgement>,
+}
+
+/// Runs `method` once over `track` and compares its predictions at each of `horizons` with what came true.
+pub fn judge(method: Method, track: &Track, horizons: &[Span]) -> Vec<AtHorizon> {
     let mut predictor = method.rotation();
-    let (mut of_estimates, mut of_truths) = (Vec::new(), Vec::new());
-    let (mut estimate_cursor, mut truth_cursor) = (0, 0);
+    let mut angles = vec![(Vec::new(), Vec::new()); horizons.len()];
+    let mut cursors = vec![(0, 0); horizons.len()];
     for (index, time) in track.times.iter().enumerate() {
         let now = &track.estimates[index];
         predictor.observe(*time, now, &track.rates_rad_s[index]);
-        let Some(then) = time.checked_add(horizon).filter(|_| track.counts[index]) else { continue };
-        let Some(predicted) = predictor.predict(then) else { continue };
-        let estimate = at(&track.times, |k| track.estimates.get(k).copied(), then, &mut estimate_cursor);
-        if let Some(estimate) = estimate {
-            of_estimates.push(log(&(predicted.inverse() * estimate)).norm());
+        if !track.counts[index] {
+            continue;
         }
-        let truth_then =
-            at(&track.times, |k| track.truths.get(k).copied().flatten(), then, &mut truth_cursor);
-        if let (Some(truth_now), Some(truth_then)) = (track.truths.get(index).copied().flatten(), truth_then)
-        {
-            let way = now.inverse() * predicted;
-            of_truths.push(log(&(way.inverse() * (truth_now.inverse() * truth_then))).norm());
+        for (place, horizon) in horizons.iter().enumerate() {
+            let Some(then) = time.checked_add(*horizon) else { continue };
+            let Some(predicted) = predictor.predict(then) else { continue };
+            let ((by_estimate, by_truth), cursors) = (&mut angles[place], &mut cursors[place]);
+            if let Some(estimate) =
+                at(&track.times, |k| track.estimates.get(k).copied(), then, &mut cursors.0)
+            {
+                by_estimate.push(log(&(predicted.inverse() * estimate)).norm());
+            }
+            let truth_then =
+                at(&track.times, |k| track.truths.get(k).copied().flatten(), then, &mut cursors.1);
+            if let (Some(truth_now), Some(truth_then)) =
+                (track.truths.get(index).copied().flatten(), truth_then)
+            {
+                let way = now.inverse() * predicted;
+                by_truth.push(log(&(way.inverse() * (truth_now.inverse() * truth_then))).norm());
+            }
         }
     }
-    (Judgement::of(of_estimates), Judgement::of(of_truths))
+    let judged = |(by_estimate, by_truth)| AtHorizon {
+        by_estimate: Judgement::of(by_estimate),
+        by_truth: Judgement::of(by_truth),
+    };
+    angles.into_iter().map(judged).collect()
+}
+
+impl Track {
+    /// `filter` over `recording`. Predictions count in movement, or, where the recording does not say when that is, after
+    /// the first five seconds.
+    pub fn of(recording: &Recording, filter: &mut dyn Filter) -> Self {
+        let mut track = Self::default();
+        let start = recording.samples.first().map(|(at, _)| *at);
+        for (index, (at, imu)) in recording.samples.iter().enumerate() {
+            filter.update(*at, imu);
+            let truth = recording.truth.get(index);
+            let settled =
+                start.and_then(|start| at.since(start)).is_some_and(|since| since > Span::from_millis(5000));
+            track.times.push(*at);
+            track.estimates.push(filter.earth_from_sensor());
+            track.rates_rad_s.push(imu.gyr_rad_s - filter.gyro_bias_rad_s());
+            track.truths.push(truth.and_then(|truth| truth.earth_from_sensor));
+            track.counts.push(truth.map_or(settled, |truth| truth.movement));
+        }
+        track
+    }
 }

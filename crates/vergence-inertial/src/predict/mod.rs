@@ -15,7 +15,7 @@ use vergence_time::{Span, Timestamp};
 
 pub use adaptive::{AdaptivePosition, AdaptiveRotation};
 pub use desp::{DespPosition, DespRotation};
-pub use judge::{Judgement, Track, judge};
+pub use judge::{AtHorizon, Judgement, Track, judge};
 pub use learner::LearnerParams;
 pub use slope::{SlopePosition, SlopeRotation};
 

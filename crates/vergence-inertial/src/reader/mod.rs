@@ -3,6 +3,7 @@
 mod broad;
 mod euroc;
 mod table;
+mod tum;
 
 use std::path::Path;
 
@@ -14,6 +15,7 @@ use crate::{Error, Pair};
 use table::Table;
 
 pub use broad::{read_orientations, write_orientations};
+pub use tum::read_tum_orientations;
 
 /// What one file holds.
 #[derive(Clone, Debug, Default)]

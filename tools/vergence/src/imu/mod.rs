@@ -1,6 +1,10 @@
 //! `vergence imu`: orientation from inertial units; one file per verb.
 
+mod calibrate;
+mod compare;
 mod eval;
+mod noise;
+mod predict;
 mod run;
 
 use crate::failure::Failure;
@@ -16,6 +20,10 @@ pub struct Args {
 enum Verb {
     Run(run::Args),
     Eval(eval::Args),
+    Compare(compare::Args),
+    Calibrate(calibrate::Args),
+    Noise(noise::Args),
+    Predict(predict::Args),
 }
 
 impl Args {
@@ -24,6 +32,10 @@ impl Args {
         match self.verb {
             Verb::Run(verb) => verb.run(),
             Verb::Eval(verb) => verb.run(),
+            Verb::Compare(verb) => verb.run(),
+            Verb::Calibrate(verb) => verb.run(),
+            Verb::Noise(verb) => verb.run(),
+            Verb::Predict(verb) => verb.run(),
         }
     }
 }

@@ -1,0 +1,378 @@
+//! `vergence trade imu`: what each orientation filter costs and how far it errs, over recordings with a truth.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::de::{Deserialize as _, IntoDeserializer as _};
+use vergence_inertial::filter::{
+    self, Axes, Complementary, ComplementaryParams, Filter, Kind, Limits, Madgwick, MadgwickParams, Mahony,
+    MahonyParams, Stream, Vergence, VergenceParams, Vqf, VqfParams,
+};
+use vergence_inertial::{Recording, score};
+use vergence_report::Page;
+use vergence_time::Span;
+use vergence_trade::{Knob, Limit, Measurement, Scale, Setting, Trade, Value};
+
+use crate::failure::Failure;
+
+/// Every orientation filter, each at several positions of its main knob: time per sample against degrees
+#[derive(clap::Args)]
+pub struct ImuTrade {
+    /// Folder of recordings with truth (BROAD-style .csv or .csv.gz); default: broad in the folder VERGENCE_DATA
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Folder for the results; made where it is missing
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Choose the smallest error that takes at most this time per sample, such as 100ns
+    #[arg(long, value_name = "TIME", value_parser = nanoseconds, conflicts_with = "error")]
+    budget: Option<f64>,
+    /// Choose the least time that errs at most this much, such as 3deg
+    #[arg(long, value_name = "ANGLE", value_parser = degrees)]
+    error: Option<f64>,
+    /// Sensors that the choice is about: 6 is gyroscope and accelerometer, 9 also the magnetometer
+    #[arg(long, default_value = "9", value_parser = ["6", "9"])]
+    axes: String,
+    /// The error that plots, fronts and choice are about
+    #[arg(long, value_enum, default_value_t = Metric::Total)]
+    metric: Metric,
+    /// The first recording only, each filter at its default
+    #[arg(long)]
+    quick: bool,
+    /// Print one JSON object at the end instead of tables
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Metric {
+    /// Of the whole rotation; with 6 axes after aligning the heading at the start
+    Total,
+    /// About the vertical; with 6 axes after aligning the heading at the start
+    Heading,
+    /// Of the vertical
+    Inclination,
+}
+
+/// As text in a configuration file.
+fn text(text: &str) -> serde::de::value::StrDeserializer<'_, serde::de::value::Error> {
+    text.into_deserializer()
+}
+
+fn nanoseconds(argument: &str) -> Result<f64, String> {
+    let duration =
+        vergence_config::Duration::deserialize(text(argument)).map_err(|error| error.to_string())?;
+    Ok(duration.seconds() * 1e9)
+}
+
+fn degrees(argument: &str) -> Result<f64, String> {
+    let angle = vergence_config::Angle::deserialize(text(argument)).map_err(|error| error.to_string())?;
+    Ok(angle.radians().to_degrees())
+}
+
+/// Makes a filter for some sensors and a period between samples.
+type Make = Box<dyn Fn(Axes, Span) -> Box<dyn Filter>>;
+
+/// A filter at one position of its main knob.
+struct Candidate {
+    kind: Kind,
+    /// Such as "beta 0.12"; "default" where nothing is turned.
+    position: String,
+    make: Make,
+}
+
+/// Positions of each filter's main knob; the defaults are among them.
+fn candidates(quick: bool) -> Vec<Candidate> {
+    let mut all = Vec::new();
+    for kind in Kind::ALL {
+        let mut turned: Vec<(String, Make)> = Vec::new();
+        let mut add = |position: String, make: Make| turned.push((position, make));
+        match kind {
+            _ if quick => {}
+            Kind::Complementary => {
+                for tau_acc_s in [0.3, 1.0, 3.0, 10.0] {
+                    let params = ComplementaryParams { tau_acc_s, tau_mag_s: 3.0 * tau_acc_s };
+                    add(format!("tau_acc {tau_acc_s} s"), stream(move |_| Complementary::new(params)));
+                }
+            }
+            Kind::Madgwick => {
+                for beta in [0.03, 0.06, 0.12, 0.24, 0.5] {
+                    let params = MadgwickParams { beta };
+                    add(format!("beta {beta}"), stream(move |_| Madgwick::new(params)));
+                }
+            }
+            Kind::Mahony => {
+                for kp in [0.2, 0.4, 0.74, 1.5, 3.0] {
+                    let params = MahonyParams { kp, ..MahonyParams::default() };
+                    add(format!("kp {kp}"), stream(move |_| Mahony::new(params)));
+                }
+            }
+            Kind::VqfBasic | Kind::Vqf => {
+                let base = if kind == Kind::Vqf { VqfParams::FULL } else { VqfParams::BASIC };
+                for tau_acc_s in [1.0, 2.0, 3.0, 5.0] {
+                    let params = VqfParams { tau_acc_s, ..base };
+                    let make = move |period: Span| Vqf::new(params, period.as_secs_f64());
+                    add(format!("tau_acc {tau_acc_s} s"), stream(make));
+                }
+            }
+            Kind::Vergence => {
+                for window_s in [0.05, 0.1, 0.2, 0.4] {
+                    let params = VergenceParams { window_s, ..VergenceParams::default() };
+                    let make = move |period: Span| Vergence::new(params, period.as_secs_f64());
+                    add(format!("window {window_s} s"), stream(make));
+                }
+            }
+            Kind::Integration => {}
+        }
+        if turned.is_empty() {
+            turned.push(("default".to_owned(), Box::new(move |axes, period| kind.filter(axes, period))));
+        }
+        all.extend(turned.into_iter().map(|(position, make)| Candidate { kind, position, make }));
+    }
+    all
+}
+
+fn stream<C: filter::Core + 'static>(core: impl Fn(Span) -> C + 'static) -> Make {
+    Box::new(move |axes, period| Box::new(Stream::new(core(period), axes, period, Limits::default())))
+}
+
+/// What is measured of each candidate with each set of sensors: time, then the errors in the order of [`Metric`].
+fn measure(
+    candidate: &Candidate,
+    axes: Axes,
+    recordings: &[(PathBuf, Recording)],
+) -> Result<(f64, [f64; 3]), Failure> {
+    /// Runs over each recording; the fastest counts: what is slower is what else the machine did.
+    const REPEATS: usize = 3;
+    let (mut least_ns, mut errors) = (f64::INFINITY, [0.0; 3]);
+    for (path, recording) in recordings {
+        let period =
+            recording.period().ok_or_else(|| Failure::Work(format!("{}: too short", path.display())))?;
+        for _ in 0..REPEATS {
+            let mut filter = (candidate.make)(axes, period);
+            let started = Instant::now();
+            for (at, imu) in &recording.samples {
+                filter.update(*at, imu);
+                std::hint::black_box(filter.earth_from_sensor());
+            }
+            least_ns = least_ns.min(started.elapsed().as_nanos() as f64 / recording.samples.len() as f64);
+        }
+        let estimates = filter::run((candidate.make)(axes, period).as_mut(), &recording.samples);
+        let estimate: Vec<_> = recording.samples.iter().map(|(at, _)| *at).zip(estimates).collect();
+        let pairs = recording.scored(&estimate, path).map_err(|error| Failure::work(&error))?;
+        let score = score(&pairs).ok_or_else(|| {
+            Failure::Work(format!("{}: expected a truth in movement, found none", path.display()))
+        })?;
+        let found = match axes {
+            Axes::Nine => [score.total_rad, score.heading_rad, score.inclination_rad],
+            Axes::Six => [score.start_total_rad, score.start_heading_rad, score.inclination_rad],
+        };
+        for (sum, angle) in errors.iter_mut().zip(found) {
+            *sum += angle.to_degrees() / recordings.len() as f64;
+        }
+    }
+    Ok((least_ns, errors))
+}
+
+impl ImuTrade {
+    pub fn run(self) -> Result<(), Failure> {
+        let recordings = self.read()?;
+        std::fs::create_dir_all(&self.output).map_err(|e| unwritable(&self.output, &e))?;
+        let limit = self.budget.map(Limit::Cost).or(self.error.map(Limit::Error));
+        let metric = self.metric as usize;
+        let candidates = candidates(self.quick);
+        let bar = ProgressBar::new(2 * candidates.len() as u64);
+        if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}") {
+            bar.set_style(style);
+        }
+        let trades = [(Axes::Nine, "9"), (Axes::Six, "6")];
+        let trades = trades.into_iter().filter(|(axes, name)| {
+            (*axes == Axes::Six || recordings.iter().all(|(_, r)| r.has_mag()))
+                && (!self.quick || *name == self.axes)
+        });
+        let mut done = Vec::new();
+        for (axes, name) in trades {
+            done.push((name, trade(axes, &candidates, &recordings, &bar)?));
+        }
+        bar.finish_and_clear();
+        let Some((_, chosen_from)) = done.iter().find(|(name, _)| *name == self.axes) else {
+            return Err(Failure::Call("the recordings have no magnetometer: expected --axes 6".to_owned()));
+        };
+        let choice = limit.map(|limit| chosen_from.choose(0, metric, limit)).transpose();
+        let chosen = choice.as_ref().ok().copied().flatten();
+        self.write(&done, chosen, recordings.len())?;
+        self.print(&done, chosen);
+        choice.map(|_| ()).map_err(|error| Failure::work(&error))
+    }
+
+    fn read(&self) -> Result<Vec<(PathBuf, Recording)>, Failure> {
+        let variable = std::env::var_os("VERGENCE_DATA").filter(|value| !value.is_empty());
+        let folder = self.data.clone().or_else(|| variable.map(|data| Path::new(&data).join("broad")));
+        let folder = folder.ok_or_else(|| {
+            Failure::Call("expected --data DIR or the variable VERGENCE_DATA, found neither".to_owned())
+        })?;
+        let entries =
+            std::fs::read_dir(&folder).map_err(|e| Failure::Call(format!("{}: {e}", folder.display())))?;
+        let mut paths: Vec<PathBuf> =
+            entries.filter_map(|entry| entry.ok().map(|entry| entry.path())).collect();
+        paths.retain(|path| {
+            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            name.ends_with(".csv") || name.ends_with(".csv.gz")
+        });
+        paths.sort();
+        paths.truncate(if self.quick { 1 } else { usize::MAX });
+        if paths.is_empty() {
+            return Err(Failure::Call(format!(
+                "{}: expected files .csv or .csv.gz, found none",
+                folder.display()
+            )));
+        }
+        let read = |path: PathBuf| {
+            let recording = Recording::read(&path).map_err(|error| Failure::work(&error))?;
+            Ok((path, recording))
+        };
+        paths.into_iter().map(read).collect()
+    }
+
+    fn write(
+        &self,
+        trades: &[(&str, Trade)],
+        chosen: Option<usize>,
+        recordings: usize,
+    ) -> Result<(), Failure> {
+        let save = |name: &str, text: &str| {
+            let path = self.output.join(name);
+            std::fs::write(&path, text).map_err(|e| unwritable(&path, &e))
+        };
+        let metric = self.metric as usize;
+        let mut page = Page::new("What orientation costs").paragraph(&format!(
+            "Mean of {recordings} recordings; time of one sample and one reading of the orientation, one thread, the \
+             fastest of all runs. Without a magnetometer the heading is aligned over the first second of movement."
+        ));
+        for (name, trade) in trades {
+            let chosen = chosen.filter(|_| *name == self.axes);
+            let plot = trade.plot(0, metric, chosen);
+            save(&format!("imu-{name}d.svg"), &plot.to_svg().map_err(|e| Failure::work(&e))?)?;
+            page = page.heading(trade.title()).plot(&plot).map_err(|e| Failure::work(&e))?;
+            page = page.table(&trade.table(0, metric));
+        }
+        save("trade.html", &page.to_html())?;
+        let json = serde_json::to_string_pretty(&self.json(trades, chosen)).map_err(|e| Failure::work(&e))?;
+        save("trade.json", &json)
+    }
+
+    fn json(&self, trades: &[(&str, Trade)], chosen: Option<usize>) -> serde_json::Value {
+        let metric = self.metric as usize;
+        let all = trades.iter().map(|(name, trade)| {
+            (format!("{name}d"), serde_json::json!({ "trade": trade, "front": trade.pareto(0, metric) }))
+        });
+        let all: serde_json::Map<_, _> = all.collect();
+        let of = trades.iter().find(|(name, _)| *name == self.axes).map(|(_, trade)| trade);
+        let chosen = of.zip(chosen).map(|(trade, index)| &trade.measurements()[index]);
+        serde_json::json!({
+            "axes": self.axes,
+            "error": of.map(|trade| &trade.errors()[metric]),
+            "all": all,
+            "chosen": chosen,
+        })
+    }
+
+    fn print(&self, trades: &[(&str, Trade)], chosen: Option<usize>) {
+        if self.json {
+            println!("{}", self.json(trades, chosen));
+            return;
+        }
+        let metric = self.metric as usize;
+        let mut text = String::new();
+        for (name, trade) in trades {
+            let _ = writeln!(
+                text,
+                "{}; * is on the Pareto front of time and {}\n{}",
+                trade.title(),
+                trade.errors()[metric].title(),
+                trade.table(0, metric).to_text()
+            );
+            if let Some(index) = chosen.filter(|_| *name == self.axes) {
+                let m = &trade.measurements()[index];
+                let _ = writeln!(
+                    text,
+                    "chosen: {} ({:.0} ns, {:.3} deg)\n",
+                    m.setting, m.costs[0], m.errors[metric]
+                );
+            }
+        }
+        let _ = writeln!(text, "look at it: {}", self.output.join("trade.html").display());
+        print!("{text}");
+    }
+}
+
+fn unwritable(path: &Path, error: &dyn std::error::Error) -> Failure {
+    Failure::Work(format!("{}: {error}", path.display()))
+}
+
+fn trade(
+    axes: Axes,
+    candidates: &[Candidate],
+    recordings: &[(PathBuf, Recording)],
+    bar: &ProgressBar,
+) -> Result<Trade, Failure> {
+    let (title, names) = match axes {
+        Axes::Nine => ("gyroscope, accelerometer, magnetometer", ["total", "heading", "inclination"]),
+        Axes::Six => {
+            ("gyroscope, accelerometer", ["total from the start", "heading from the start", "inclination"])
+        }
+    };
+    let kinds = Kind::ALL.iter().map(|kind| Value::from(kind.name())).collect();
+    let mut positions: Vec<Value> = Vec::new();
+    for candidate in candidates {
+        let value = Value::from(candidate.position.as_str());
+        if !positions.contains(&value) {
+            positions.push(value);
+        }
+    }
+    let mut trade = Trade::new(
+        title,
+        vec![Knob::new("filter", "", kinds), Knob::new("knob", "", positions)],
+        vec![Scale::new("time per sample", "ns")],
+        names.map(|name| Scale::new(name, "deg")).to_vec(),
+    )
+    .map_err(|error| Failure::work(&error))?;
+    for candidate in candidates {
+        bar.set_message(format!("{} {}", candidate.kind.name(), candidate.position));
+        let (ns, errors) = measure(candidate, axes, recordings)?;
+        let setting = Setting(vec![
+            ("filter".to_owned(), Value::from(candidate.kind.name())),
+            ("knob".to_owned(), Value::from(candidate.position.as_str())),
+        ]);
+        trade
+            .push(Measurement { setting, costs: vec![ns], errors: errors.to_vec() })
+            .map_err(|error| Failure::work(&error))?;
+        bar.inc(1);
+    }
+    Ok(trade)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arguments_say_their_units() {
+        assert!((nanoseconds("100ns").unwrap() - 100.0).abs() < 1e-9);
+        assert!((degrees("3deg").unwrap() - 3.0).abs() < 1e-12);
+        assert!(degrees("3").unwrap_err().contains("expected an angle"));
+    }
+
+    #[test]
+    fn each_filter_is_there_with_its_default() {
+        let all = candidates(false);
+        for kind in Kind::ALL {
+            assert!(all.iter().any(|candidate| candidate.kind == kind), "{}", kind.name());
+        }
+        assert!(all.iter().any(|c| c.kind == Kind::Madgwick && c.position == "beta 0.12"));
+        assert_eq!(candidates(true).len(), Kind::ALL.len());
+    }
+}
