@@ -11,6 +11,7 @@ use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
 use crate::desk::ByHand;
 use crate::error::Error;
+use crate::replay::SessionLog;
 use crate::run::Again;
 
 const APP_NAME: &str = "vergence";
@@ -107,6 +108,7 @@ fn simulated(
     let motion: Box<dyn PoseProvider> = match (again, config.motion.as_deref(), by_hand) {
         (Some(again), ..) => Box::new(again.replay.clone()),
         (None, None, Some(by_hand)) => Box::new(by_hand),
+        (None, Some(log), _) if log.ends_with(".mcap") => Box::new(SessionLog::open(log.as_ref())?.motion()?),
         (None, name, _) => motion::open(name.unwrap_or("still"))?,
     };
     Runtime::configure(Config {

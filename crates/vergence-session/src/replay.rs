@@ -6,9 +6,11 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use serde::Serialize;
+use vergence_action::{Control, POINT_AND_GRASP};
 use vergence_log::{Ending, Header, Reader};
 use vergence_scene::Scene;
-use vergence_xr_sim::Replay;
+use vergence_xr_sim::motion::Part;
+use vergence_xr_sim::{Replay, Script};
 
 use crate::config::{CaptureConfig, HeadsetChoice, RunConfig};
 use crate::error::Error;
@@ -155,9 +157,41 @@ impl SessionLog {
         }
     }
 
+    /// What the user of the recording did, to be done again in any scene on any simulated headset; at its end the session is
+    /// asked to end.
+    ///
+    /// # Errors
+    /// Where the log cannot be read.
+    pub fn motion(&self) -> Result<Script, Error> {
+        let trouble = Trouble::default();
+        let parts: Vec<Option<Part>> = self.resolved.actions.iter().map(|name| part_of(name)).collect();
+        let script = Script::of_session(self.frames(&trouble)?, &parts);
+        if let Some(error) = trouble.take() {
+            log::warn!("{error}; going on with what is before that");
+        }
+        Ok(script)
+    }
+
     fn frames(&self, trouble: &Trouble) -> Result<Frames, Error> {
         Ok(Frames::open(&self.path, Arc::new(self.resolved.actions.clone()), trouble.clone())?)
     }
+}
+
+/// The part of a controller that an action of ours is read from.
+fn part_of(action: &str) -> Option<Part> {
+    let action = POINT_AND_GRASP.iter().find(|known| known.name == action)?;
+    Some(match action.control {
+        Control::Aim => Part::Aim,
+        Control::Grip => Part::Grip,
+        Control::Trigger => Part::Trigger,
+        Control::Squeeze => Part::Squeeze,
+        Control::Thumbstick => Part::Stick,
+        Control::ThumbstickClick => Part::StickClick,
+        Control::Primary => Part::Primary,
+        Control::Secondary => Part::Secondary,
+        Control::Menu => Part::Menu,
+        Control::Haptic => return None,
+    })
 }
 
 /// Replays `log` with its scene.

@@ -219,6 +219,17 @@ fn a_whole_session_is_lived_through_again() {
     assert_equal(&slow, report.paced);
     assert!(slow.host_seconds >= 0.5, "{} s", slow.host_seconds);
 
+    // What the user did moves another headset, in another scene, as well: the head's way is the same.
+    let poses = |name: &str| bench.folder.path().join(name);
+    let other = RunConfig {
+        motion: Some(bench.log.to_str().unwrap().to_owned()),
+        log_poses: Some(poses("other.jsonl")),
+        record: None,
+        ..bench.config(&script(600, headset))
+    };
+    let moved = run(&Arc::new(Scene::default()), &other, &mut |_| {}).unwrap();
+    assert!(moved.frames > 20 && std::fs::read_to_string(poses("other.jsonl")).unwrap().lines().count() > 20);
+
     // A live headset has a clock of its own.
     let log = SessionLog::open(&bench.log).unwrap();
     let live = ReplayConfig { headset: HeadsetChoice::OpenXr, ..ReplayConfig::default() };

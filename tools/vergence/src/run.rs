@@ -25,8 +25,8 @@ pub struct Args {
     /// Simulated headset: default, quest3, index, or a file
     #[arg(long, value_name = "NAME|FILE.toml")]
     profile: Option<String>,
-    /// Simulated headset: how its user moves: still, a motion or script that comes with it, or a file [default: still]
-    #[arg(long, value_name = "still|FILE.toml|SCRIPT.toml")]
+    /// Simulated headset: how its user moves: still, a motion or script that comes with it, a file, or a recorded session [default: still]
+    #[arg(long, value_name = "still|FILE.toml|SCRIPT.toml|FILE.mcap")]
     motion: Option<String>,
     /// Simulated headset: distance between the eyes [default: the profile's]
     #[arg(long, value_name = "MM")]

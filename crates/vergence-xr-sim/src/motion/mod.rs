@@ -18,7 +18,7 @@ use crate::Error;
 pub use file::{BUILT_IN_MOTIONS, Motion};
 pub(crate) use replay::Next;
 pub use replay::{EXIT_REQUESTED, Replay, SESSION_BEGINS};
-pub use script::Script;
+pub use script::{Part, Script};
 pub use still::Still;
 pub use trajectory::{AtEnd, Gaps, Sample, Trajectory};
 pub use tum::{parse_tum, read_tum};

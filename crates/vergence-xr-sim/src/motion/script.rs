@@ -3,7 +3,7 @@ use std::path::Path;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use vergence_config::{Angle, Duration, Length};
 use vergence_geom::Rigid;
-use vergence_sense::Hand;
+use vergence_sense::{ControlState, Hand, RawLocation, Said, Tracking};
 use vergence_time::{Span, Timestamp};
 
 use super::track::Track;
@@ -182,6 +182,101 @@ impl Script {
         Reader { path }.script(raw)
     }
 
+    /// What the user of a recorded session did, to be done again in any other: `frames` as for
+    /// [`Replay`](super::Replay), and for each action, by its place, the control that it was read from.
+    ///
+    /// Motion time 0 is when the session began to run, as the clock said at its first frame. The floor is the recorded one,
+    /// where it was known.
+    pub fn of_session(frames: impl Iterator<Item = Vec<Said>>, parts: &[Option<Part>]) -> Self {
+        let mut script = Self {
+            at_end: AtEnd::Stop,
+            duration: Span::ZERO,
+            head: Body::default(),
+            hands: [Held::default(), Held::default()],
+            presence: Track::default(),
+            render: Track::default(),
+            recentrings: Vec::new(),
+        };
+        let mut began = None;
+        let mut stage_from_local = Rigid::translation(0.0, EYES_M[1], 0.0);
+        for frame in frames {
+            let mut display = None;
+            for said in &frame {
+                match said {
+                    Said::Frame { now, display: shown, .. } => {
+                        let began = *began.get_or_insert(*now);
+                        let since = shown.since(began).unwrap_or(Span::ZERO);
+                        display = Some(Timestamp::from_nanos(since.as_nanos()))
+                            // Keys rise; a clock that does not is passed over.
+                            .filter(|at| at.as_nanos() > script.duration.as_nanos());
+                    }
+                    Said::Place { of: vergence_sense::Body::Floor, location, .. } => {
+                        if let Some(floor) = location.read().reference_from_device() {
+                            stage_from_local = Rigid::translation(0.0, -floor.translation.y, 0.0);
+                        }
+                    }
+                    _ => {}
+                }
+            }
+            let Some(at) = display else { continue };
+            script.duration = Span::from_nanos(at.as_nanos());
+            let mut given = Given::default();
+            for said in &frame {
+                script.take(at, said, parts, &stage_from_local, &mut given);
+            }
+        }
+        script
+    }
+
+    /// One thing of a frame; of a body that is located twice the first place counts.
+    fn take(
+        &mut self,
+        at: Timestamp,
+        said: &Said,
+        parts: &[Option<Part>],
+        stage_from_local: &Rigid,
+        given: &mut Given,
+    ) {
+        let part = |action: u16| parts.get(usize::from(action)).copied().flatten();
+        match said {
+            Said::Place { of: vergence_sense::Body::Head, .. } if given.head => {}
+            Said::Place { of: vergence_sense::Body::Head, location, .. } => {
+                given.head = true;
+                self.head.follow(at, location, stage_from_local);
+            }
+            Said::Place { of: vergence_sense::Body::Action(action, hand), location, .. } => {
+                let held = &mut self.hands[hand.index()];
+                let body = match part(*action) {
+                    Some(Part::Aim) => &mut held.aim,
+                    Some(Part::Grip) => &mut held.grip,
+                    _ => return,
+                };
+                body.follow(at, location, stage_from_local);
+            }
+            Said::Control { action, hand, state, .. } => {
+                let held = &mut self.hands[hand.index()];
+                let (on, pulled, pushed) = match *state {
+                    ControlState::Button(button) => {
+                        (button.0, button.0.map(|on| f32::from(u8::from(on))), None)
+                    }
+                    ControlState::Axis(axis) => (axis.0.map(|pull| pull >= 0.5), axis.0, None),
+                    ControlState::Vector2(vector) => (None, None, vector.0),
+                };
+                match part(*action) {
+                    Some(Part::Trigger) => held.trigger.extend(at, pulled),
+                    Some(Part::Squeeze) => held.squeeze.extend(at, pulled),
+                    Some(Part::Stick) => held.stick.extend(at, pushed),
+                    Some(Part::StickClick) => held.stick_click.extend(at, on),
+                    Some(Part::Primary) => held.primary.extend(at, on),
+                    Some(Part::Secondary) => held.secondary.extend(at, on),
+                    Some(Part::Menu) => held.menu.extend(at, on),
+                    Some(Part::Aim | Part::Grip) | None => {}
+                }
+            }
+            _ => {}
+        }
+    }
+
     /// The instant of the script at motion time `at`.
     fn instant(&self, at: Timestamp) -> Timestamp {
         let (nanos, duration) = (at.as_nanos(), self.duration.as_nanos());
@@ -190,7 +285,43 @@ impl Script {
     }
 }
 
+/// A part of a controller that an action was read from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names of the fields of `Controller`")]
+pub enum Part {
+    Aim,
+    Grip,
+    Trigger,
+    Squeeze,
+    Stick,
+    StickClick,
+    Primary,
+    Secondary,
+    Menu,
+}
+
+#[derive(Default)]
+struct Given {
+    head: bool,
+}
+
 impl Body {
+    /// One more key, where the place of the body was known.
+    fn follow(&mut self, at: Timestamp, location: &RawLocation, stage_from_local: &Rigid) {
+        let pose = location.read();
+        let tracking = match (pose.reference_from_device(), pose.position_tracking) {
+            (None, _) => RawTracking::Lost,
+            (Some(_), Tracking::Measured) => RawTracking::Seen,
+            (Some(_), _) => RawTracking::Held,
+        };
+        if let Some(local_from_body) = pose.reference_from_device() {
+            let stage_from_body = stage_from_local * local_from_body;
+            self.position.extend(at, Some(stage_from_body.translation.vector));
+            self.rotation.extend(at, Some(stage_from_body.rotation));
+        }
+        self.tracking.extend(at, Some(tracking));
+    }
+
     /// `None` where the script says nothing of its place.
     fn at(&self, at: Timestamp, otherwise: &Rigid) -> Option<Tracked> {
         if self.position.is_empty() && self.rotation.is_empty() && self.tracking.is_empty() {
@@ -538,6 +669,52 @@ mod tests {
         let looped = script(&text.replace("END", "loop"));
         assert_eq!([3500, 4500, 5000, 7000].map(|ms| looped.recentrings(at(ms))), [2, 2, 3, 4]);
         assert_eq!((looped.presence(at(5000)), looped.end()), (Presence::Away, None));
+    }
+
+    #[test]
+    fn a_recorded_session_is_done_again() {
+        let place = |of, x: f32| Said::Place {
+            of,
+            at: at(0),
+            location: RawLocation {
+                pose: vergence_sense::RawPose {
+                    position_m: [x, 0.0, 0.0],
+                    orientation_xyzw: [0.0, 0.0, 0.0, 1.0],
+                },
+                validity: vergence_sense::Validity::ALL,
+                velocity: None,
+            },
+        };
+        // Session time began at 5 s.
+        let frame = |ms: i64, x: f32, pull: f32| {
+            vec![
+                Said::Frame {
+                    now: at(5000 + ms - 10),
+                    display: at(5000 + ms),
+                    period: Span::from_millis(10),
+                    should_render: true,
+                },
+                place(vergence_sense::Body::Head, x),
+                place(vergence_sense::Body::Head, 9.0),
+                place(vergence_sense::Body::Action(0, Hand::Right), x + 1.0),
+                Said::Control {
+                    action: 1,
+                    hand: Hand::Right,
+                    at: at(5000 + ms),
+                    state: ControlState::Axis(vergence_sense::Axis(Some(pull))),
+                },
+            ]
+        };
+        let frames = [frame(10, 0.0, 0.0), frame(20, 1.0, 0.5), frame(15, 7.0, 0.7), frame(30, 2.0, 1.0)];
+        let script = Script::of_session(frames.into_iter(), &[Some(Part::Aim), Some(Part::Squeeze)]);
+        for (ms, x) in [(0, 0.0), (10, 0.0), (15, 0.5), (20, 1.0), (30, 2.0), (99, 2.0)] {
+            let Tracked::Seen(head) = script.head(at(ms)) else { panic!("{ms}") };
+            assert_eq!((head.translation.x, head.translation.y), (x, 1.6), "{ms}");
+            let hand = script.controller(Hand::Right, at(ms));
+            assert_eq!(hand.aim.pose().map(|aim| aim.translation.x), Some(x + 1.0), "{ms}");
+        }
+        assert_eq!(script.controller(Hand::Right, at(20)).squeeze, 0.5);
+        assert_eq!(script.end(), Some(at(30)));
     }
 
     #[test]
