@@ -110,3 +110,11 @@ pub fn cut(from: &Path, to: &Path, part: &Part, progress: &mut dyn FnMut(u64, u6
     writer.finish()?;
     Ok(kept)
 }
+
+/// When the first message of a log arrived, session time; `None` where it has none.
+///
+/// # Errors
+/// Where the log is damaged there or cannot be read.
+pub fn first_arrival(path: &Path) -> Result<Option<Timestamp>, Error> {
+    Ok(crate::reader::Reader::open(path)?.next()?.map(|entry| arrival(&entry)))
+}

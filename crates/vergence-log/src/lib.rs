@@ -21,13 +21,14 @@ mod survey;
 pub mod wire;
 mod writer;
 
-pub use cut::{Kept, Part, cut};
+pub use cut::{Kept, Part, cut, first_arrival};
 pub use diff::{Diff, Difference, StreamDiff, diff};
 pub use error::Error;
 pub use header::{FORMAT_VERSION, Header};
 pub use lane::Lane;
 pub use merge::{Merged, merge};
 pub use message::{ClockKind, Message, Stream, StreamDesc, Times};
+pub use messages::Compressed;
 pub use reader::{Attachment, Ending, Entry, Limits, Place, Reader, StreamInfo};
 pub use recorder::{Compression, Options, Recorder, Status};
 pub use repair::{Repair, repair};

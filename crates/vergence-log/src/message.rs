@@ -129,7 +129,7 @@ impl StreamDesc {
 pub struct Stream<T> {
     pub(crate) id: u16,
     pub(crate) frame: Arc<str>,
-    pub(crate) of: std::marker::PhantomData<fn(T)>,
+    pub(crate) of: std::marker::PhantomData<fn() -> T>,
 }
 
 impl<T> Clone for Stream<T> {

@@ -38,7 +38,7 @@ impl Rewriter {
         let beside = PathBuf::from(name);
         let file = File::create(&beside).map_err(|error| Error::create(goal, error))?;
         let sink = BufWriter::with_capacity(256 << 10, file);
-        let mcap = write_options(Compression::Zstd, 1 << 20).create(sink);
+        let mcap = write_options(Compression::Zstd, Some(1 << 20)).create(sink);
         let mcap = mcap.map_err(|error| write_error(goal, error))?;
         Ok(Self { goal: goal.to_owned(), beside, mcap, channels: BTreeMap::new(), done: false })
     }

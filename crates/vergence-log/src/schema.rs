@@ -41,6 +41,7 @@ pub enum Kind {
     Uint64,
     Uint32,
     Sfixed64,
+    Fixed32,
     Bool,
     String,
     Bytes,
@@ -68,6 +69,7 @@ impl Kind {
             Self::Int64 => 3,
             Self::Uint64 => 4,
             Self::Int32 => 5,
+            Self::Fixed32 => 7,
             Self::Bool => 8,
             Self::String => 9,
             Self::Message(_) => 11,
@@ -91,6 +93,7 @@ impl Kind {
             Self::Bytes => "bytes",
             Self::Uint32 => "uint32",
             Self::Sfixed64 => "sfixed64",
+            Self::Fixed32 => "fixed32",
         }
     }
 }

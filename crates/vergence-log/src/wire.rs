@@ -114,6 +114,12 @@ impl<'a> Encoder<'a> {
         self.out.extend_from_slice(&value.to_bits().to_le_bytes());
     }
 
+    /// A `fixed32`.
+    pub fn fixed32(&mut self, field: u32, value: u32) {
+        self.key(field, 5);
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
     /// Packed `float`s.
     pub fn floats(&mut self, field: u32, values: &[f32]) {
         self.key(field, 2);
@@ -247,6 +253,14 @@ impl<'a> Value<'a> {
     /// Another shape.
     pub fn float(self) -> Result<f32, WireError> {
         if let Value::Fixed32(value) = self { Ok(f32::from_bits(value)) } else { self.wrong("32 bits") }
+    }
+
+    /// A `fixed32`.
+    ///
+    /// # Errors
+    /// Another shape.
+    pub fn fixed32(self) -> Result<u32, WireError> {
+        if let Value::Fixed32(value) = self { Ok(value) } else { self.wrong("32 bits") }
     }
 
     /// `bytes`, or a message inside.

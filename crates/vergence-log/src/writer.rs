@@ -24,6 +24,8 @@ use crate::wire::Encoder;
 
 /// How often empty queues are looked at.
 const POLL: Duration = Duration::from_millis(5);
+/// Bytes that MCAP puts in front of a message.
+const MESSAGE_HEAD: u64 = 31;
 /// Messages between two looks at the clock.
 const BATCH: usize = 256;
 
@@ -118,8 +120,9 @@ pub(crate) struct Writer {
     lanes: Vec<LaneEnd>,
     streams: Vec<Option<Known>>,
     payload: Vec<u8>,
-    /// Since when something waits to be flushed.
+    /// Since when something waits to be flushed, and how much.
     waiting_since: Option<Instant>,
+    waiting_bytes: u64,
     /// Up to here the file is complete.
     good: u64,
     last_arrived: Timestamp,
@@ -147,7 +150,7 @@ impl Writer {
         let file = File::create(path).map_err(refused)?;
         let sink = Sink::new(file.try_clone().map_err(refused)?);
         let quiet = sink.quiet();
-        let mcap = write_options(options.compression, options.chunk_bytes).create(sink);
+        let mcap = write_options(options.compression, None).create(sink);
         let mut writer = Self {
             path: path.to_owned(),
             options: *options,
@@ -161,6 +164,7 @@ impl Writer {
             streams: Vec::new(),
             payload: Vec::with_capacity(64 << 10),
             waiting_since: None,
+            waiting_bytes: 0,
             good: 0,
             last_arrived: Timestamp::default(),
             own_sequence: 0,
@@ -334,7 +338,9 @@ impl Writer {
         };
         self.mcap.write_to_known_channel(&header, payload)?;
         self.waiting_since.get_or_insert_with(Instant::now);
-        Ok(())
+        self.waiting_bytes += payload.len() as u64 + MESSAGE_HEAD;
+        // Ended here and not by the MCAP writer, so that it is known up to where the file is good.
+        if self.waiting_bytes >= self.options.chunk_bytes { self.flush() } else { Ok(()) }
     }
 
     /// An event of the recorder's own.
@@ -363,6 +369,7 @@ impl Writer {
         }
         self.good = self.file.stream_position()?;
         self.waiting_since = None;
+        self.waiting_bytes = 0;
         Ok(())
     }
 
@@ -379,8 +386,8 @@ impl Writer {
     }
 }
 
-/// The writer of files of this format.
-pub(crate) fn write_options(compression: Compression, chunk_bytes: u64) -> mcap::WriteOptions {
+/// The writer of files of this format; without `chunk_bytes`, chunks end when they are told to.
+pub(crate) fn write_options(compression: Compression, chunk_bytes: Option<u64>) -> mcap::WriteOptions {
     let compression = match compression {
         Compression::None => None,
         Compression::Lz4 => Some(mcap::Compression::Lz4),
@@ -391,7 +398,7 @@ pub(crate) fn write_options(compression: Compression, chunk_bytes: u64) -> mcap:
         .library(concat!("vergence-log ", env!("CARGO_PKG_VERSION")))
         .compression(compression)
         .compression_threads(0)
-        .chunk_size(Some(chunk_bytes))
+        .chunk_size(chunk_bytes)
         // Chunks are put together in memory and written whole: a kill never leaves a header that was not patched.
         .disable_seeking(true)
 }

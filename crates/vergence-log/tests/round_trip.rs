@@ -4,11 +4,13 @@
 use proptest::prelude::*;
 use tempfile::TempDir;
 use vergence_log::wire::Encoder;
-use vergence_log::{Ending, Error, Header, Message, Options, Reader, Recorder, StreamDesc, Times};
+use vergence_log::{
+    Compressed, Ending, Error, Header, Message, Options, Reader, Recorder, StreamDesc, Times,
+};
 use vergence_sense::{
-    Axis, Button, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, JOINTS_PER_HAND, JointPose, Pose,
-    RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar, Tracking, Validity,
-    Vector2,
+    Axis, Button, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu, JOINTS_PER_HAND,
+    JointPose, Pose, RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar,
+    Tracking, Validity, Vector2,
 };
 use vergence_time::{Span, Timestamp};
 
@@ -67,7 +69,7 @@ prop_compose! {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
     fn every_bit_of_a_location_survives(times in times(), raw in raw_pose(), flags in any::<u8>(),
@@ -108,6 +110,11 @@ proptest! {
         survives(times, &Axis(some.then_some(s)));
         survives(times, &Vector2(some.then_some([s, -s])));
         survives(times, &Scalar(d));
+        let v = nalgebra::Vector3::new(d, -0.0, f64::from(s));
+        survives(times, &Imu { gyr_rad_s: v, acc_m_s2: -v, mag_ut: some.then_some(v) });
+        let image = Image { width: 3, height: 2, step: 4, encoding: "mono8".into(), data: hash[..8].into() };
+        survives(times, &image);
+        survives(times, &Compressed(Image { encoding: "jpeg".into(), ..image }));
         survives(times, &Haptic {
             duration: some.then_some(Span::from_nanos(ns)), frequency_hz: some.then_some(s), amplitude: s,
         });

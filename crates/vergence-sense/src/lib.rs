@@ -17,6 +17,7 @@
 mod body;
 mod control;
 mod happening;
+mod image;
 mod imu;
 mod pose;
 mod raw;
@@ -25,6 +26,7 @@ mod said;
 pub use body::{Gaze, HandJoint, HandJoints, JOINTS_PER_HAND, JointPose};
 pub use control::{Axis, Button, Haptic, Vector2};
 pub use happening::{Event, FrameHash, FrameTiming, Scalar};
+pub use image::Image;
 pub use imu::Imu;
 pub use pose::{Pose, Tracking, Velocity};
 pub use raw::{RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Validity};

@@ -4,10 +4,12 @@
 //! number 1000 on, which a reader with the published schema passes over.
 
 mod control;
+mod device;
 mod happening;
 mod pose;
 mod raw;
 
+pub use device::Compressed;
 use vergence_time::Timestamp;
 
 use crate::message::Times;

@@ -1,0 +1,278 @@
+//! Recordings that do not end well: killed at any moment, on a full disk, under `--durable`.
+//!
+//! The recordings run in processes of their own: this test's executable, told by its environment what to do.
+#![allow(clippy::unwrap_used, reason = "a test stops where something is not as expected")]
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+use vergence_log::{
+    Ending, Error, Header, Limits, Options, Reader, Recorder, StreamDesc, Survey, Times, repair,
+};
+use vergence_sense::{Button, RawLocation, RawPose, Scalar, Validity};
+use vergence_time::Timestamp;
+
+const TASK: &str = "VERGENCE_LOG_TEST_TASK";
+const FILE: &str = "VERGENCE_LOG_TEST_FILE";
+/// Moments at which recordings are killed.
+const KILLS: u32 = 50;
+/// Recordings at a time.
+const AT_A_TIME: usize = 10;
+/// What may be lost: the last second.
+const LOST_AT_MOST: Duration = Duration::from_secs(1);
+
+/// A location that is made from its number alone, with bits that arithmetic would not keep.
+fn location(step: i64) -> RawLocation {
+    let pose = RawPose {
+        position_m: [step as f32 * 0.1, -0.0, f32::from_bits(0x7fa0_0000 | step as u32 & 0xffff)],
+        orientation_xyzw: [0.0, (step as f32).sin(), 0.0, (step as f32).cos()],
+    };
+    RawLocation { pose, validity: Validity::ALL, velocity: None }
+}
+
+fn recorder(path: &Path, durable: bool) -> Recorder {
+    let header = Header { application: "interrupted".into(), ..Header::default() };
+    Recorder::create(path, &header, &Options { durable, ..Options::default() }).unwrap()
+}
+
+/// Records as a session does: a frame every 4 ms with a pose, a button and a number; says each frame's number.
+fn record_until_killed(path: &Path, durable: bool) {
+    let mut recorder = recorder(path, durable);
+    let head = recorder.stream::<RawLocation>(&StreamDesc::new("/head").frame("local")).unwrap();
+    let select = recorder.stream::<Button>(&StreamDesc::new("/select")).unwrap();
+    let load = recorder.stream::<Scalar>(&StreamDesc::new("/load").host_time()).unwrap();
+    for step in 0.. {
+        let times = Times::at(Timestamp::from_nanos(step * 4_000_000 - 1_000_000_000));
+        recorder.write(&head, times, &location(step));
+        recorder.write(&select, times, &Button(Some(step % 2 == 0)));
+        recorder.write(&load, times, &Scalar(step as f64));
+        println!("frame {step}");
+        std::thread::sleep(Duration::from_millis(4));
+    }
+}
+
+/// Records until the disk is full, goes on as a session would, and judges what is left.
+fn record_on_a_full_disk(path: &Path) {
+    let mut recorder = recorder(path, false);
+    let head = recorder.stream::<RawLocation>(&StreamDesc::new("/head").frame("local")).unwrap();
+    let noise = recorder.stream::<Scalar>(&StreamDesc::new("/noise")).unwrap();
+    let mut failure = None;
+    let mut after = 0;
+    let began = Instant::now();
+    for step in 0..i64::MAX {
+        let times = Times::at(Timestamp::from_nanos(step * 1_000_000));
+        recorder.write(&head, times, &location(step));
+        for part in 0..20 {
+            // Not to be compressed.
+            let bits = (step as u64 * 20 + part).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x1234_5678;
+            recorder.write(&noise, times, &Scalar(f64::from_bits(bits.wrapping_mul(0xbf58_476d_1ce4_e5b9))));
+        }
+        if step % 20 == 0 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        failure = failure.or_else(|| recorder.failure());
+        after += u32::from(failure.is_some());
+        if after > 5000 {
+            break;
+        }
+        assert!(began.elapsed() < Duration::from_secs(60), "the disk does not fill");
+    }
+    let failure: Error = failure.unwrap();
+    let sentence = format!("{failure}: {}", std::error::Error::source(&failure).unwrap());
+    println!("error: {sentence}");
+    assert!(
+        matches!(failure, Error::Write { .. }) && sentence.contains(path.to_str().unwrap()),
+        "{sentence}"
+    );
+    assert!(recorder.failure().is_none(), "it is said once");
+    assert!(recorder.status().failed);
+    assert!(recorder.finish().is_ok(), "it was said before");
+    let length = std::fs::metadata(path).unwrap().len();
+    let mut reader = Reader::open(path).unwrap();
+    let mut steps = 0;
+    while let Some(entry) = reader.next().unwrap() {
+        if entry.stream.name == "/head" {
+            assert_eq!(entry.decode::<RawLocation>().unwrap().value, location(steps));
+            steps += 1;
+        }
+    }
+    println!("good: {steps} frames, {length} bytes, {:?}", reader.ending());
+    assert!(steps > 500 && length > 500_000 && length <= 1 << 20, "{steps} {length}");
+    assert_eq!(reader.ending(), Some(Ending::Complete));
+}
+
+/// What the other tests start as a process of its own; on its own it does nothing.
+#[test]
+fn child() {
+    let (Ok(task), Ok(file)) = (std::env::var(TASK), std::env::var(FILE)) else { return };
+    match task.as_str() {
+        "record" => record_until_killed(Path::new(&file), false),
+        "durable" => record_until_killed(Path::new(&file), true),
+        "full" => record_on_a_full_disk(Path::new(&file)),
+        other => panic!("task '{other}'"),
+    }
+}
+
+fn executable() -> String {
+    std::env::current_exe().unwrap().to_str().unwrap().to_owned()
+}
+
+const ARGUMENTS: [&str; 4] = ["child", "--exact", "--nocapture", "--test-threads=1"];
+
+/// What became of one recording.
+struct Killed {
+    /// From the last frame that is in the file to the kill.
+    lost: Duration,
+    frames: i64,
+}
+
+/// Starts a recording, kills it `after` its first frame, repairs the file and compares.
+fn kill_one(dir: &Path, number: u32, after: Duration, durable: bool) -> Killed {
+    let path = dir.join(format!("killed-{number}.mcap"));
+    let mended = dir.join(format!("mended-{number}.mcap"));
+    let mut child = Command::new(executable())
+        .args(ARGUMENTS)
+        .env(TASK, if durable { "durable" } else { "record" })
+        .env(FILE, &path)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    // When each frame was heard of, which is after it was written.
+    let mut heard = Vec::new();
+    let mut first = None;
+    while first.is_none_or(|first: Instant| first.elapsed() < after) {
+        let line = lines.next().unwrap().unwrap();
+        if line.contains("frame ") {
+            first.get_or_insert_with(Instant::now);
+            heard.push(Instant::now());
+        }
+    }
+    child.kill().unwrap();
+    let killed = Instant::now();
+    child.wait().unwrap();
+
+    let found = repair(&path, &mended, Limits::default(), &mut |_, _| {}).unwrap();
+    assert!(!found.was_complete && found.damaged.is_empty() && found.missing == 0, "{found:?}");
+    // What the broken file holds and what the mended one holds is the same, byte for byte.
+    let (mut broken, mut whole) = (Reader::open(&path).unwrap(), Reader::open(&mended).unwrap());
+    let mut frames = 0;
+    loop {
+        let (old, new) = (broken.next().unwrap(), whole.next().unwrap());
+        let key = |entry: &vergence_log::Entry<'_>| {
+            let name = entry.stream.name.clone();
+            (name, entry.sequence, entry.log_time, entry.publish_time, entry.payload.to_vec())
+        };
+        assert_eq!(old.as_ref().map(key), new.as_ref().map(key));
+        let Some(entry) = new else { break };
+        if entry.stream.name == "/head" {
+            let sample = entry.decode::<RawLocation>().unwrap();
+            assert_eq!(sample.value, location(frames));
+            assert_eq!(sample.arrived.as_nanos(), frames * 4_000_000 - 1_000_000_000);
+            frames += 1;
+        }
+    }
+    assert!(matches!(broken.ending(), Some(Ending::CutOff { .. })), "{:?}", broken.ending());
+    assert_eq!(whole.ending(), Some(Ending::Complete));
+    let survey = Survey::of(&mut Reader::open(&mended).unwrap(), &mut |_, _| {}).unwrap();
+    assert!(survey.is_well(), "{:?}", survey.findings);
+    let lost = heard.get(frames as usize).map_or(Duration::ZERO, |&first_lost| killed - first_lost);
+    Killed { lost, frames }
+}
+
+#[test]
+fn a_killed_recording_loses_at_most_its_last_second() {
+    let dir = TempDir::new().unwrap();
+    // Where somebody wants to look at the files with other readers.
+    let kept = std::env::var_os("VERGENCE_LOG_KEEP").map(std::path::PathBuf::from);
+    let dir = kept.as_deref().unwrap_or(dir.path());
+    std::fs::create_dir_all(dir).unwrap();
+    let began = Instant::now();
+    let numbers: Vec<u32> = (0..KILLS).collect();
+    let mut all = Vec::new();
+    for batch in numbers.chunks(AT_A_TIME) {
+        std::thread::scope(|scope| {
+            let one = |&number: &u32| {
+                // 0 to 2.5 s, spread evenly by the golden ratio, with the remainder of a clock on top.
+                let part = f64::from(number) * 0.618_033_988_75 % 1.0;
+                let clock = Duration::from_nanos(u64::from(began.elapsed().subsec_nanos()) % 5_000_000);
+                let after = Duration::from_secs_f64(2.5 * part) + clock;
+                scope.spawn(move || kill_one(dir, number, after, number % 5 == 0))
+            };
+            let running: Vec<_> = batch.iter().map(one).collect();
+            all.extend(running.into_iter().map(|thread| thread.join().unwrap()));
+        });
+    }
+    let longest = all.iter().map(|killed| killed.lost).max().unwrap();
+    let frames: i64 = all.iter().map(|killed| killed.frames).sum();
+    println!("{KILLS} kills: at most {longest:?} lost; {frames} frames kept");
+    assert!(longest < LOST_AT_MOST, "{longest:?}");
+    assert!(frames > 1000, "{frames}");
+}
+
+fn run(shell: &str, file: &Path) -> (bool, String) {
+    let output = Command::new("bash")
+        .args(["-c", shell, &executable()])
+        .env(TASK, "full")
+        .env(FILE, file)
+        .output()
+        .unwrap();
+    let said =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    (output.status.success(), said)
+}
+
+#[test]
+fn a_file_that_may_not_grow_beyond_a_mebibyte_is_good_so_far() {
+    let dir = TempDir::new().unwrap();
+    let arguments = ARGUMENTS.join(" ");
+    // A limit of the process (RLIMIT_FSIZE); its signal is ignored, so that writing fails instead.
+    let (done, said) = run(
+        &format!("trap '' XFSZ; ulimit -f 1024; exec \"$0\" {arguments}"),
+        &dir.path().join("limited.mcap"),
+    );
+    assert!(done && said.contains("good: "), "{said}");
+    print!(
+        "{}",
+        said.lines().filter(|line| line.contains(": ")).map(|l| format!("{l}\n")).collect::<String>()
+    );
+}
+
+#[test]
+fn a_disk_of_a_mebibyte_is_good_so_far() {
+    let dir = TempDir::new().unwrap();
+    let there = dir.path().to_str().unwrap();
+    let arguments = ARGUMENTS.join(" ");
+    let mount = format!("mount -t tmpfs -o size=1m tmpfs '{there}'");
+    // In a mount namespace of its own, which nobody else sees.
+    let probe = Command::new("unshare").args(["-m", "-r", "sh", "-c", &mount]).output();
+    if !probe.is_ok_and(|output| output.status.success()) {
+        println!("skipped: no tmpfs of a mebibyte can be mounted here");
+        return;
+    }
+    let shell = format!(
+        "export PROGRAM=\"$0\"; exec unshare -m -r sh -c \"{mount} && exec \\\"\\$PROGRAM\\\" {arguments}\""
+    );
+    let (done, said) = run(&shell, &dir.path().join("full.mcap"));
+    assert!(done && said.contains("good: "), "{said}");
+    print!(
+        "{}",
+        said.lines().filter(|line| line.contains(": ")).map(|l| format!("{l}\n")).collect::<String>()
+    );
+}
+
+#[test]
+fn a_durable_recording_is_whole() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("durable.mcap");
+    let mut recorder = recorder(&path, true);
+    let head = recorder.stream::<RawLocation>(&StreamDesc::new("/head")).unwrap();
+    for step in 0..100 {
+        recorder.write(&head, Times::at(Timestamp::from_nanos(step)), &location(step));
+    }
+    recorder.finish().unwrap();
+    assert_eq!(Reader::read_all::<RawLocation>(&path, "/head").unwrap().len(), 100);
+}
