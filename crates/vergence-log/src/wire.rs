@@ -75,6 +75,20 @@ impl<'a> Encoder<'a> {
         self.varint(u64::from(field << 3 | wire));
     }
 
+    /// A value of fixed size behind its key, in one piece: numbers are most of what a frame says.
+    fn fixed<const N: usize>(&mut self, field: u32, wire: u32, value: [u8; N]) {
+        let tag = field << 3 | wire;
+        if tag < 0x80 {
+            let mut both = [0; 9];
+            both[0] = tag as u8;
+            both[1..=N].copy_from_slice(&value);
+            self.out.extend_from_slice(&both[..=N]);
+        } else {
+            self.varint(u64::from(tag));
+            self.out.extend_from_slice(&value);
+        }
+    }
+
     /// A `uint32`, `uint64` or enumeration.
     pub fn uint(&mut self, field: u32, value: u64) {
         self.key(field, 0);
@@ -93,14 +107,12 @@ impl<'a> Encoder<'a> {
 
     /// An `sfixed64`.
     pub fn sfixed64(&mut self, field: u32, value: i64) {
-        self.key(field, 1);
-        self.out.extend_from_slice(&value.to_le_bytes());
+        self.fixed(field, 1, value.to_le_bytes());
     }
 
     /// A `double`.
     pub fn double(&mut self, field: u32, value: f64) {
-        self.key(field, 1);
-        self.out.extend_from_slice(&value.to_bits().to_le_bytes());
+        self.fixed(field, 1, value.to_bits().to_le_bytes());
     }
 
     /// A `double` that holds all bits of a single-precision number.
@@ -110,14 +122,12 @@ impl<'a> Encoder<'a> {
 
     /// A `float`.
     pub fn float(&mut self, field: u32, value: f32) {
-        self.key(field, 5);
-        self.out.extend_from_slice(&value.to_bits().to_le_bytes());
+        self.fixed(field, 5, value.to_bits().to_le_bytes());
     }
 
     /// A `fixed32`.
     pub fn fixed32(&mut self, field: u32, value: u32) {
-        self.key(field, 5);
-        self.out.extend_from_slice(&value.to_le_bytes());
+        self.fixed(field, 5, value.to_le_bytes());
     }
 
     /// Packed `float`s.

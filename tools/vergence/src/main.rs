@@ -9,6 +9,7 @@ mod failure;
 mod framing;
 mod imu;
 mod loading;
+mod log;
 mod logging;
 mod plan;
 mod quality;
@@ -40,6 +41,7 @@ enum Verb {
     Plan(plan::Args),
     Doctor(doctor::Args),
     Imu(imu::Args),
+    Log(log::Args),
     Render(render::Args),
     Replay(replay::Args),
     Run(Box<run::Args>),
@@ -52,6 +54,7 @@ impl Verb {
             Self::Plan(verb) => verb.run(),
             Self::Doctor(verb) => verb.run(),
             Self::Imu(verb) => verb.run(),
+            Self::Log(verb) => verb.run(),
             Self::Render(verb) => verb.run(),
             Self::Replay(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
