@@ -32,8 +32,9 @@ pub struct RecordConfig {
     /// Asks the disk to have each chunk before the next begins: a power cut loses no more than a kill.
     pub durable: bool,
     /// Whether the colour pictures are hashed, so that a replay can tell whether it draws the same. Each frame is then
-    /// waited for and read back, which takes the GPU's head start away: 8 ms for two pictures of 1024 × 1024 on lavapipe.
-    /// `None`: on the simulated headset, on whose clock that costs nothing.
+    /// waited for and read back before it is handed over: the GPU no longer draws while the next frame is recorded, and
+    /// the frame takes the copy and the hash of its bytes longer. `None`: on the simulated headset, whose virtual clock
+    /// does not notice.
     pub hash_frames: Option<bool>,
     /// Puts the scene's files into the log.
     pub attach_scene: bool,
