@@ -1,4 +1,6 @@
 //! A session: its states, spaces, images, input, and the frame loop's calls in their order.
+//!
+//! Length: one type whose calls share its fields; each call is heard by a tap where it is made.
 
 use std::sync::Arc;
 use std::time::Duration;
