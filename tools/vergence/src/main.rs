@@ -16,6 +16,7 @@ mod quality;
 mod render;
 mod replay;
 mod run;
+mod stats;
 mod stream;
 mod trade;
 
@@ -45,6 +46,7 @@ enum Verb {
     Render(render::Args),
     Replay(replay::Args),
     Run(Box<run::Args>),
+    Stats(stats::Args),
     Trade(trade::Args),
 }
 
@@ -58,6 +60,7 @@ impl Verb {
             Self::Render(verb) => verb.run(),
             Self::Replay(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
+            Self::Stats(verb) => verb.run(),
             Self::Trade(verb) => verb.run(),
         }
     }
