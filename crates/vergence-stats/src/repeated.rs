@@ -59,6 +59,9 @@ pub struct Repeated {
     pub observations: usize,
 }
 
+/// Sum and count of a subject's values in each cell.
+type Cells = BTreeMap<Vec<usize>, (f64, f64)>;
+
 struct Design<'a> {
     /// Levels of each within factor, in order of first appearance.
     levels: Vec<Vec<&'a str>>,
@@ -225,7 +228,7 @@ fn arranged<'a>(observations: &'a [Observation], factors: usize) -> Result<Desig
     }
     let mut levels: Vec<Vec<&str>> = vec![Vec::new(); factors];
     let mut groups: Vec<Option<&str>> = Vec::new();
-    let mut subjects: Vec<(&str, usize, BTreeMap<Vec<usize>, (f64, f64)>)> = Vec::new();
+    let mut subjects: Vec<(&str, usize, Cells)> = Vec::new();
     let mut row_of: BTreeMap<&str, usize> = BTreeMap::new();
     // Deviations from one value keep a common offset out of the sums of squares.
     let offset = observations[0].value;
