@@ -50,6 +50,8 @@ pub enum Style {
     Rings,
     /// Markers joined by straight lines, in the order given.
     Line,
+    /// A black line without markers: a law, drawn over what it was fitted to.
+    Curve,
     /// Markers joined by steps (first along x, then along y): a front, of which nothing lies between two points.
     Steps,
 }
@@ -222,15 +224,19 @@ impl Plot {
             let y = 24.0 + TITLE_PX + 18.0 * row as f64;
             for &(index, x) in entries {
                 let series = &self.series[index];
-                if matches!(series.style, Style::Line | Style::Steps) {
-                    let color = OKABE_ITO[index % OKABE_ITO.len()];
+                if matches!(series.style, Style::Line | Style::Curve | Style::Steps) {
+                    let color = color_of(index, series.style);
                     let _ =
                         write!(svg, "<path d=\"M{x:.1} {y:.1}h18\" stroke=\"{color}\" stroke-width=\"2\"/>");
                 }
+                let marker = |index, style, x, y| match style {
+                    Style::Curve => String::new(),
+                    style => marker(index, style, x, y, ""),
+                };
                 let _ = writeln!(
                     svg,
                     "{}<text x=\"{:.1}\" y=\"{:.1}\">{}</text>",
-                    marker(index, series.style, x + 9.0, y, ""),
+                    marker(index, series.style, x + 9.0, y),
                     x + 23.0,
                     y + 4.0,
                     escaped(&series.name)
@@ -241,7 +247,7 @@ impl Plot {
 
     fn draw_series(&self, svg: &mut String, canvas: &Canvas, index: usize, series: &Series) {
         let shown: Vec<&Point> = series.points.iter().filter(|p| self.has_place(p)).collect();
-        if matches!(series.style, Style::Line | Style::Steps) && shown.len() > 1 {
+        if matches!(series.style, Style::Line | Style::Curve | Style::Steps) && shown.len() > 1 {
             let mut path = String::new();
             for (i, point) in shown.iter().enumerate() {
                 let (x, y) = canvas.place(point);
@@ -251,13 +257,13 @@ impl Plot {
                     _ => write!(path, "L{x:.1} {y:.1}"),
                 };
             }
-            let color = OKABE_ITO[index % OKABE_ITO.len()];
+            let color = color_of(index, series.style);
             let _ = writeln!(
                 svg,
                 "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"2\" stroke-linejoin=\"round\"/>"
             );
         }
-        for point in shown {
+        for point in shown.into_iter().filter(|_| series.style != Style::Curve) {
             let (x, y) = canvas.place(point);
             let tooltip = match (&point.tooltip, &point.label) {
                 (Some(text), _) | (None, Some(text)) => escaped(text),
@@ -329,6 +335,11 @@ impl Canvas {
     fn contains(&self, point: &Point) -> bool {
         self.x.contains(point.x) && self.y.contains(point.y)
     }
+}
+
+/// A series' colour; a law is black.
+fn color_of(index: usize, style: Style) -> &'static str {
+    if style == Style::Curve { OKABE_ITO[7] } else { OKABE_ITO[index % OKABE_ITO.len()] }
 }
 
 /// Circle, square, triangle, diamond, cross…: the shape says the series, too, not only the colour.

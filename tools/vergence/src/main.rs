@@ -18,6 +18,7 @@ mod replay;
 mod run;
 mod stats;
 mod stream;
+mod study;
 mod trade;
 
 use std::process::ExitCode;
@@ -47,6 +48,7 @@ enum Verb {
     Replay(replay::Args),
     Run(Box<run::Args>),
     Stats(stats::Args),
+    Study(study::Args),
     Trade(trade::Args),
 }
 
@@ -61,6 +63,7 @@ impl Verb {
             Self::Replay(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
             Self::Stats(verb) => verb.run(),
+            Self::Study(verb) => verb.run(),
             Self::Trade(verb) => verb.run(),
         }
     }

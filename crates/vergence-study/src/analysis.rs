@@ -1,0 +1,328 @@
+//! From trials to rows (participant × session × block × condition) to a summary.
+
+use std::collections::BTreeMap;
+
+use vergence_stats::{Moments, linear};
+
+use crate::convention::{Axis, Conventions, Difficulty};
+use crate::measure::ends::{End, Ends, Sequence, end_of};
+use crate::measure::fitts::difficulty;
+use crate::measure::outlier::left_out;
+use crate::measure::path::of_path;
+use crate::tradeoff::{self, CafBin, ErrorModel, Stability};
+use crate::trial::{DataSet, PathMeasures, Trial};
+
+/// What names a sequence.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Key {
+    /// Pseudonym.
+    pub participant: String,
+    /// Sitting.
+    pub session: String,
+    /// Block.
+    pub block: String,
+    /// Condition.
+    pub condition: String,
+}
+
+/// One sequence, analysed.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// Whose and when.
+    pub key: Key,
+    /// The instruction, where there were several.
+    pub instruction: Option<String>,
+    /// Levels of other factors.
+    pub factors: BTreeMap<String, String>,
+    /// Nominal amplitude, length unit.
+    pub amplitude: Option<f64>,
+    /// Nominal width, length unit.
+    pub width: Option<f64>,
+    /// Nominal index of difficulty, bits.
+    pub id: Option<f64>,
+    /// Trials analysed.
+    pub n: u64,
+    /// Trials that were not practice.
+    pub trials: u64,
+    /// Missed ones among them.
+    pub errors: u64,
+    /// Left out among them.
+    pub outliers: u64,
+    /// Ends and times.
+    pub ends: Ends,
+    /// Means over the analysed trials.
+    pub path: PathMeasures,
+}
+
+/// Least squares of mean movement time on effective difficulty.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// Intercept, seconds.
+    pub a: f64,
+    /// Slope, seconds per bit; 1/b is the other throughput.
+    pub b: f64,
+    /// Correlation.
+    pub r: Option<f64>,
+    /// 95 % intervals of a and b.
+    pub intervals: [Option<(f64, f64)>; 2],
+    /// Rows.
+    pub n: usize,
+}
+
+/// All of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Analysis {
+    /// Unit of lengths.
+    pub length_unit: String,
+    /// Dimensions of the task.
+    pub dimensions: usize,
+    /// The knobs.
+    pub conventions: Conventions,
+    /// In the order of their keys.
+    pub rows: Vec<Row>,
+    /// What was left out and why, counted.
+    pub exclusions: Vec<(String, u64)>,
+    /// Over all rows, along the axis and in all dimensions.
+    pub fit: Option<Fit>,
+    /// As above.
+    pub fit_xy: Option<Fit>,
+    /// Of each participant and session with three rows or more.
+    pub fits: Vec<(String, String, Fit)>,
+    /// Means by instruction.
+    pub stability: Option<Stability>,
+    /// Predicted and observed errors.
+    pub error_model: Option<ErrorModel>,
+    /// Conditional accuracy by instruction (or of all, under an empty name); none where trials were streamed.
+    pub accuracy: Vec<(String, Vec<CafBin>)>,
+}
+
+impl Analysis {
+    /// Mean over rows of their throughputs, bits/s: never of pooled points.
+    pub fn tp_mean_of_means(&self) -> Option<f64> {
+        self.mean(|row| row.ends.x.tp)
+    }
+
+    /// The same in all dimensions.
+    pub fn tp_xy_mean_of_means(&self) -> Option<f64> {
+        self.mean(|row| row.ends.xy.tp)
+    }
+
+    /// Mean over participants of the means of their rows, bits/s: the same where all have as many rows.
+    pub fn tp_mean_of_participants(&self) -> Option<f64> {
+        let mut by: BTreeMap<&str, Moments> = BTreeMap::new();
+        for row in &self.rows {
+            if let Some(tp) = row.ends.x.tp {
+                by.entry(&row.key.participant).or_default().push(tp);
+            }
+        }
+        by.values().filter_map(Moments::mean).collect::<Moments>().mean()
+    }
+
+    /// Share of misses among all trials that were not practice.
+    pub fn error_rate(&self) -> Option<f64> {
+        let trials = self.trials();
+        (trials > 0).then(|| self.rows.iter().map(|row| row.errors).sum::<u64>() as f64 / trials as f64)
+    }
+
+    /// Trials that were not practice.
+    pub fn trials(&self) -> u64 {
+        self.rows.iter().map(|row| row.trials).sum()
+    }
+
+    /// Different participants.
+    pub fn participants(&self) -> usize {
+        let mut names: Vec<&str> = self.rows.iter().map(|row| row.key.participant.as_str()).collect();
+        names.sort_unstable();
+        names.dedup();
+        names.len()
+    }
+
+    /// Mean over the rows that have a value.
+    pub fn mean(&self, of: impl Fn(&Row) -> Option<f64>) -> Option<f64> {
+        self.rows.iter().filter_map(of).collect::<Moments>().mean()
+    }
+}
+
+/// One trial with what was computed of it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Analysed<'a> {
+    /// The trial.
+    pub trial: &'a Trial,
+    /// Its end; none for practice and for an axis without length.
+    pub end: Option<End>,
+    /// Its path.
+    pub path: Option<PathMeasures>,
+    /// Left out by the outlier policy.
+    pub outlier: bool,
+}
+
+/// The key of a trial.
+pub fn key_of(trial: &Trial) -> Key {
+    Key {
+        participant: trial.participant.clone(),
+        session: trial.session.clone(),
+        block: trial.block.clone(),
+        condition: trial.condition.clone(),
+    }
+}
+
+/// Computes every trial: ends (in serial tasks each with the one before it), paths, outliers. In the order of the set.
+pub fn analyse_trials<'a>(data: &'a DataSet, conventions: &Conventions) -> Vec<Analysed<'a>> {
+    let mut groups: BTreeMap<Key, Vec<usize>> = BTreeMap::new();
+    for (i, trial) in data.trials.iter().enumerate() {
+        groups.entry(key_of(trial)).or_default().push(i);
+    }
+    let mut analysed: Vec<Analysed<'a>> = data
+        .trials
+        .iter()
+        .map(|trial| Analysed { trial, end: None, path: of_path(trial, conventions), outlier: false })
+        .collect();
+    for members in groups.values() {
+        let mut before = 0.0;
+        for &i in members {
+            let end = end_of(&data.trials[i], conventions, before);
+            before = if conventions.axis == Axis::Serial { end.map_or(0.0, |end| end.dx) } else { 0.0 };
+            analysed[i].end = end;
+        }
+        let counted: Vec<usize> = members.iter().copied().filter(|&i| !data.trials[i].practice).collect();
+        let pairs: Vec<(&Trial, Option<End>)> =
+            counted.iter().map(|&i| (&data.trials[i], analysed[i].end)).collect();
+        for (&i, left) in counted.iter().zip(left_out(&pairs, conventions)) {
+            analysed[i].outlier = left;
+        }
+    }
+    analysed
+}
+
+/// Rows and summary of trials in memory.
+pub fn analyse(data: &DataSet, conventions: &Conventions) -> Analysis {
+    let analysed = analyse_trials(data, conventions);
+    let mut groups: BTreeMap<Key, (Row, Sequence, [Moments; 9])> = BTreeMap::new();
+    for one in &analysed {
+        let trial = one.trial;
+        if trial.practice {
+            continue;
+        }
+        let (_, sequence, paths) = groups
+            .entry(key_of(trial))
+            .or_insert_with(|| (blank_row(trial), Sequence::default(), <_>::default()));
+        sequence.trials += 1;
+        sequence.errors += u64::from(trial.error);
+        if one.outlier {
+            sequence.outliers += 1;
+            continue;
+        }
+        sequence.push(one.end, trial.mt_s);
+        if let Some(path) = one.path {
+            for (moments, value) in paths.iter_mut().zip(path.values()) {
+                value.into_iter().for_each(|value| moments.push(value));
+            }
+        }
+    }
+    let practice = data.trials.iter().filter(|trial| trial.practice).count() as u64;
+    let without = analysed.iter().filter(|one| !one.trial.practice && one.end.is_none()).count() as u64;
+    let rows = groups.into_iter().map(|(key, (row, sequence, paths))| {
+        let path = PathMeasures::from_values(paths.map(|moments| moments.mean()));
+        finished(Row { key, path, ..row }, &sequence, conventions, data.dimensions)
+    });
+    let rows = rows.collect();
+    let mut accuracy: BTreeMap<String, Vec<(f64, bool)>> = BTreeMap::new();
+    for one in analysed.iter().filter(|one| !one.trial.practice) {
+        let name = one.trial.instruction.clone().unwrap_or_default();
+        accuracy.entry(name).or_default().push((one.trial.mt_s, one.trial.error));
+    }
+    let accuracy =
+        accuracy.into_iter().map(|(name, trials)| (name, tradeoff::conditional_accuracy(&trials, 5)));
+    let accuracy = accuracy.collect();
+    let mut analysis = summarised(rows, conventions, &data.length_unit, data.dimensions, practice);
+    if without > 0 {
+        analysis
+            .exclusions
+            .push(("trials whose start and target coincide: no effective measures".to_owned(), without));
+    }
+    analysis.accuracy = accuracy;
+    analysis
+}
+
+fn blank_row(trial: &Trial) -> Row {
+    Row {
+        instruction: trial.instruction.clone(),
+        factors: trial.factors.clone(),
+        amplitude: trial.amplitude,
+        width: trial.width,
+        ..Row::default()
+    }
+}
+
+/// The row of a sequence that is complete.
+pub fn finished(row: Row, sequence: &Sequence, conventions: &Conventions, dimensions: usize) -> Row {
+    Row {
+        id: row.amplitude.zip(row.width).and_then(|(a, w)| difficulty(conventions.difficulty, a, w)),
+        n: sequence.n(),
+        trials: sequence.trials,
+        errors: sequence.errors,
+        outliers: sequence.outliers,
+        ends: sequence.measures(conventions, dimensions),
+        ..row
+    }
+}
+
+/// The summary of finished rows.
+pub fn summarised(
+    rows: Vec<Row>,
+    conventions: &Conventions,
+    length_unit: &str,
+    dimensions: usize,
+    practice: u64,
+) -> Analysis {
+    let all = rows.len();
+    let rows: Vec<Row> = rows.into_iter().filter(|row| row.n >= conventions.least_trials as u64).collect();
+    let fit = fit_of(&rows, |row| row.ends.x.ide);
+    let mut by: BTreeMap<(&str, &str), Vec<Row>> = BTreeMap::new();
+    for row in &rows {
+        by.entry((&row.key.participant, &row.key.session)).or_default().push(row.clone());
+    }
+    let fits = by.iter().filter_map(|((participant, session), own)| {
+        Some(((*participant).to_owned(), (*session).to_owned(), fit_of(own, |row| row.ends.x.ide)?))
+    });
+    let fits = fits.collect();
+    let outliers: u64 = rows.iter().map(|row| row.outliers).sum();
+    let mut exclusions = vec![("practice trials".to_owned(), practice)];
+    exclusions.push((format!("trials by the outlier policy '{}'", conventions.outliers), outliers));
+    exclusions.push((
+        format!("sequences of fewer than {} analysed trials", conventions.least_trials),
+        (all - rows.len()) as u64,
+    ));
+    Analysis {
+        length_unit: length_unit.to_owned(),
+        dimensions,
+        conventions: conventions.clone(),
+        exclusions,
+        fit_xy: fit_of(&rows, |row| row.ends.xy.ide),
+        fits,
+        stability: tradeoff::stability(&rows),
+        error_model: fit
+            .filter(|_| conventions.difficulty == Difficulty::Shannon)
+            .map(|fit| tradeoff::error_model(&rows, fit.a, fit.b)),
+        fit,
+        accuracy: Vec::new(),
+        rows,
+    }
+}
+
+fn fit_of(rows: &[Row], ide: impl Fn(&Row) -> Option<f64>) -> Option<Fit> {
+    let (x, y): (Vec<f64>, Vec<f64>) =
+        rows.iter().filter_map(|row| Some((ide(row)?, row.ends.mt_s?))).unzip();
+    if x.len() < 3 {
+        return None;
+    }
+    let line = linear(&x, &y).ok()?;
+    let b = line.coefficients[1];
+    Some(Fit {
+        a: line.coefficients[0],
+        b,
+        r: line.r2.map(|r2| r2.max(0.0).sqrt() * b.signum()),
+        intervals: [line.interval(0, 0.95), line.interval(1, 0.95)],
+        n: x.len(),
+    })
+}

@@ -1,0 +1,140 @@
+//! Readers of other tools' recordings: text in, trials out. They open no file.
+
+mod columns;
+mod fittsstudy;
+mod gofitts;
+mod stream;
+mod threedfitts;
+
+pub use columns::{Column, ColumnMap, Maps, Scaled};
+pub use stream::{Streamed, stream};
+
+use crate::Error;
+use crate::convention::Conventions;
+use crate::trial::DataSet;
+
+/// What an importer found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Imported {
+    /// The trials.
+    pub data: DataSet,
+    /// The conventions of the tool that recorded them.
+    pub conventions: Conventions,
+    /// What is doubtful, in sentences.
+    pub warnings: Vec<String>,
+}
+
+/// A tool whose recordings can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tool {
+    /// FittsStudy's results (.csv, .txt) and logs (.xml).
+    FittsStudy,
+    /// 3DFitts' tests (.json).
+    ThreeDFitts,
+    /// GoFitts' and FittsTaskTwo's traces (.sd3).
+    GoFitts,
+    /// Columns by name, with a map.
+    Csv,
+}
+
+impl Tool {
+    /// Guesses from a file's first bytes; [`Tool::Csv`] where nothing else fits.
+    pub fn guess(head: &str) -> Self {
+        let head = head.trim_start_matches('\u{feff}').trim_start();
+        if head.starts_with('{') {
+            Self::ThreeDFitts
+        } else if head.starts_with('<') || head.contains("Circular?,") || head.starts_with("FittsStudy log") {
+            Self::FittsStudy
+        } else if head.starts_with("TRACE DATA") {
+            Self::GoFitts
+        } else {
+            Self::Csv
+        }
+    }
+}
+
+/// Reads one recording. `name` (the file's name without folder) is its session where the recording names none;
+/// `map` is needed for [`Tool::Csv`] alone.
+///
+/// # Errors
+/// Where the text is not what the tool writes: line and what was expected.
+pub fn import(tool: Tool, name: &str, text: &str, map: &ColumnMap) -> Result<Imported, Error> {
+    let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    match tool {
+        Tool::FittsStudy => fittsstudy::read(stem, text),
+        Tool::ThreeDFitts => threedfitts::read(stem, text),
+        Tool::GoFitts => gofitts::read(stem, text),
+        Tool::Csv => columns::read(text, map),
+    }
+}
+
+/// Puts the trials of several recordings of one tool together.
+///
+/// # Errors
+/// Where units or dimensions differ.
+pub fn together(parts: Vec<Imported>) -> Result<Imported, Error> {
+    let mut parts = parts.into_iter();
+    let Some(mut all) = parts.next() else {
+        return Err(Error::Empty { what: "recordings" });
+    };
+    for part in parts {
+        let units = (&part.data.length_unit, part.data.dimensions);
+        if units != (&all.data.length_unit, all.data.dimensions) {
+            return Err(Error::Mixed {
+                expected: format!("{} dimensions in {}", all.data.dimensions, all.data.length_unit),
+                found: format!("{} dimensions in {}", part.data.dimensions, part.data.length_unit),
+            });
+        }
+        all.data.trials.extend(part.data.trials);
+        all.warnings.extend(part.warnings);
+    }
+    all.warnings.extend(duplicates(&all.data));
+    all.warnings.dedup();
+    Ok(all)
+}
+
+/// Sequences that hold the same movements: copied sessions.
+fn duplicates(data: &DataSet) -> Option<String> {
+    let mut seen = std::collections::BTreeMap::new();
+    let mut copies = 0;
+    for trial in &data.trials {
+        let movement = (
+            trial.end.map(f64::to_bits),
+            trial.mt_s.to_bits(),
+            trial.to.map(f64::to_bits),
+            trial.start.map(|p| p.map(f64::to_bits)),
+        );
+        let session = (&trial.participant, &trial.session, &trial.block);
+        if *seen.entry(movement).or_insert(session) != session {
+            copies += 1;
+        }
+    }
+    // One coincidence is chance; a fifth of all trials is a copy.
+    (copies * 5 > data.trials.len() && copies > 1)
+        .then(|| format!("{copies} trials are in more than one session: is a session there twice?"))
+}
+
+/// The cell of a row, as a number.
+fn number(cell: &str, column: &str, line: u64) -> Result<f64, Error> {
+    let parsed = cell.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+    parsed.ok_or_else(|| Error::Cell {
+        line,
+        column: column.to_owned(),
+        expected: "a finite number",
+        found: cell.chars().take(40).collect(),
+    })
+}
+
+/// `1`, `true`, `yes`, `miss` … or their opposites.
+fn truth(cell: &str, column: &str, line: u64) -> Result<bool, Error> {
+    match cell.trim().to_ascii_lowercase().as_str() {
+        "1" | "1.0" | "true" | "yes" | "y" | "t" => Ok(true),
+        "0" | "0.0" | "false" | "no" | "n" | "f" | "" => Ok(false),
+        _ => Err(Error::Cell {
+            line,
+            column: column.to_owned(),
+            expected: "true, false, 1 or 0",
+            found: cell.chars().take(40).collect(),
+        }),
+    }
+}

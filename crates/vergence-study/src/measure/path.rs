@@ -1,0 +1,250 @@
+//! Paths: MacKenzie, Kauppinen and Silfverberg 2001 (TRE, TAC, MDC, ODC, MV, ME, MO), submovements and overshoots.
+
+use crate::convention::{Conventions, PathRule};
+use crate::measure::ends::axis_of;
+use crate::trial::{CursorSample, PathMeasures, Point, Trial};
+
+/// Rate of FittsStudy's resampling, milliseconds per sample.
+const STEP_MS: f64 = 10.0;
+/// Standard deviation of its Gaussian, samples.
+const SIGMA: f64 = 5.0;
+/// Half the length of its kernel, samples.
+const HALF: usize = 15;
+
+/// The measures of a trial's recorded path; those that the recording tool gave where no path is there. None for fewer
+/// than two samples or an axis without length.
+pub fn of_path(trial: &Trial, conventions: &Conventions) -> Option<PathMeasures> {
+    let (origin, along) = axis_of(trial, conventions)?;
+    if trial.samples.len() < 2 {
+        return trial.measured;
+    }
+    let across = [-along[1], along[0], 0.0];
+    let place = |p: Point, direction: Point| (0..3).map(|i| (p[i] - origin[i]) * direction[i]).sum::<f64>();
+    let half_width = trial.width.map(|width| 0.5 * width);
+    let centre = place(trial.to, along);
+    let inside = |sample: &CursorSample| {
+        let offset: f64 = (0..3).map(|i| (sample.position[i] - trial.to[i]).powi(2)).sum();
+        half_width.is_some_and(|half| offset <= half * half)
+    };
+    let entries = trial.samples.iter().fold((0u32, false), |(count, was), sample| {
+        let is = inside(sample);
+        (count + u32::from(is && !was), is)
+    });
+    let smoothed;
+    let points = match conventions.path {
+        PathRule::Thresholds => &trial.samples,
+        PathRule::Smoothed => {
+            smoothed = smooth(&resample(&trial.samples));
+            &smoothed
+        }
+    };
+    let x: Vec<f64> = points.iter().map(|sample| place(sample.position, along)).collect();
+    let y: Vec<f64> = points.iter().map(|sample| place(sample.position, across)).collect();
+    let n = y.len() as f64;
+    let mean = y.iter().sum::<f64>() / n;
+    let squares: f64 = y.iter().map(|value| (value - mean).powi(2)).sum();
+    let (band, jump) = match conventions.path {
+        PathRule::Thresholds => (conventions.crossing_band, conventions.turn_jump),
+        PathRule::Smoothed => (0.0, 0.0),
+    };
+    let far_side = half_width.map(|half| centre + half);
+    let over = far_side.map(|far| {
+        let raw = trial.samples.iter().map(|sample| place(sample.position, along) > far);
+        raw.fold((0u32, false), |(count, was), is| (count + u32::from(is && !was), is)).0
+    });
+    Some(PathMeasures {
+        tre: half_width.map(|_| f64::from(entries.0.saturating_sub(1))),
+        tac: Some(f64::from(crossings(&y, band))),
+        mdc: Some(f64::from(turns(&y, jump))),
+        odc: Some(f64::from(turns(&x, jump))),
+        mv: (n > 1.0).then(|| (squares / (n - 1.0)).sqrt()),
+        me: Some(y.iter().map(|value| value.abs()).sum::<f64>() / n),
+        mo: Some(mean),
+        submovements: Some(f64::from(submovements(&trial.samples))),
+        overshoots: over.map(f64::from),
+    })
+}
+
+/// Changes of side, once beyond `band` on the other one.
+fn crossings(y: &[f64], band: f64) -> u32 {
+    let mut side = 0.0;
+    let mut count = 0;
+    for value in y {
+        if value.abs() > band {
+            if side * value < 0.0 {
+                count += 1;
+            }
+            side = value.signum();
+        }
+    }
+    count
+}
+
+/// Changes of direction, where the way back is longer than `jump`.
+fn turns(values: &[f64], jump: f64) -> u32 {
+    let Some(first) = values.first() else { return 0 };
+    let (mut extreme, mut direction, mut count) = (*first, 0.0, 0);
+    for value in values {
+        let step = value - extreme;
+        if direction == 0.0 {
+            if step.abs() > jump {
+                direction = step.signum();
+                extreme = *value;
+            }
+        } else if step * direction > 0.0 {
+            extreme = *value;
+        } else if step.abs() > jump {
+            count += 1;
+            direction = -direction;
+            extreme = *value;
+        }
+    }
+    count
+}
+
+/// Peaks of the smoothed speed (FittsStudy's rule: resampled at 100 Hz, Gaussian of 5 samples; a plateau counts once).
+pub fn submovements(samples: &[CursorSample]) -> u32 {
+    let even = resample(samples);
+    let mut speed: Vec<f64> = vec![0.0];
+    speed.extend(even.windows(2).map(|pair| {
+        let distance: f64 = (0..3).map(|i| (pair[1].position[i] - pair[0].position[i]).powi(2)).sum();
+        let dt = pair[1].t_s - pair[0].t_s;
+        if dt > 0.0 { distance.sqrt() / dt } else { 0.0 }
+    }));
+    let speed = filtered(&speed);
+    speed.windows(3).filter(|w| w[0] < w[1] && w[1] >= w[2]).count() as u32
+}
+
+/// One sample every 10 ms by linear interpolation, from the first on.
+fn resample(samples: &[CursorSample]) -> Vec<CursorSample> {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return Vec::new() };
+    let step = STEP_MS * 1e-3;
+    // An hour is no movement: bounds memory where a clock is broken.
+    let count = (((last.t_s - first.t_s) / step + 1e-9).floor().clamp(0.0, 360_000.0)) as usize;
+    let mut even = Vec::with_capacity(count + 2);
+    let mut at = 0;
+    for i in 0..=count {
+        let t_s = first.t_s + i as f64 * step;
+        while at + 2 < samples.len() && samples[at + 1].t_s < t_s {
+            at += 1;
+        }
+        let (a, b) = (samples[at], samples[(at + 1).min(samples.len() - 1)]);
+        let share = if b.t_s > a.t_s { ((t_s - a.t_s) / (b.t_s - a.t_s)).clamp(0.0, 1.0) } else { 0.0 };
+        let mut position = a.position;
+        for (own, other) in position.iter_mut().zip(b.position) {
+            *own += share * (other - *own);
+        }
+        even.push(CursorSample { t_s, position });
+    }
+    let expected = ((last.t_s - first.t_s) / step - 1e-9).ceil();
+    if even.len() as f64 == expected - 1.0 {
+        even.push(*last);
+    }
+    even
+}
+
+fn kernel() -> [f64; 2 * HALF + 1] {
+    std::array::from_fn(|i| {
+        let x = i as f64 - HALF as f64;
+        (-x * x / (2.0 * SIGMA * SIGMA)).exp() / ((2.0 * std::f64::consts::PI).sqrt() * SIGMA)
+    })
+}
+
+/// Convolved; beyond the ends there is nothing.
+fn filtered(values: &[f64]) -> Vec<f64> {
+    let kernel = kernel();
+    (0..values.len())
+        .map(|i| {
+            let near = i.saturating_sub(HALF)..(i + HALF + 1).min(values.len());
+            near.map(|j| values[j] * kernel[j + HALF - i]).sum()
+        })
+        .collect()
+}
+
+/// Positions convolved as FittsStudy does: the ends continue, and the kernel (whose sum is 0.9981) is not normalised, so
+/// that a path is drawn towards the origin of the screen by 0.2 %.
+fn smooth(samples: &[CursorSample]) -> Vec<CursorSample> {
+    let kernel = kernel();
+    let last = samples.len() as i64 - 1;
+    (0..=last)
+        .map(|i| {
+            let mut position = [0.0; 3];
+            for (k, weight) in kernel.iter().enumerate() {
+                let from = samples[(i + k as i64 - HALF as i64).clamp(0, last) as usize];
+                position.iter_mut().zip(from.position).for_each(|(own, other)| *own += weight * other);
+            }
+            CursorSample { t_s: samples[i as usize].t_s, position }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn trial(points: &[(f64, f64)]) -> Trial {
+        let samples = points.iter().enumerate();
+        let samples =
+            samples.map(|(i, (x, y))| CursorSample { t_s: 0.02 * i as f64, position: [*x, *y, 0.0] });
+        Trial {
+            from: Some([0.0; 3]),
+            to: [100.0, 0.0, 0.0],
+            width: Some(10.0),
+            samples: samples.collect(),
+            ..Trial::default()
+        }
+    }
+
+    #[test]
+    fn a_path_counted_by_hand() {
+        // Above, below, above the axis; into the target, through it, back; one step back on the way.
+        let path =
+            [(0.0, 1.0), (30.0, 4.0), (25.0, -2.0), (60.0, -3.0), (97.0, 1.0), (108.0, 0.5), (101.0, 0.0)];
+        let m = of_path(&trial(&path), &Conventions::default()).unwrap();
+        assert_eq!(
+            (m.tre, m.tac, m.mdc, m.odc, m.overshoots),
+            (Some(1.0), Some(2.0), Some(3.0), Some(3.0), Some(1.0))
+        );
+        assert!((m.mo.unwrap() - 1.5 / 7.0).abs() < 1e-12 && (m.me.unwrap() - 11.5 / 7.0).abs() < 1e-12);
+        let banded = Conventions { crossing_band: 2.5, turn_jump: 6.0, ..Conventions::default() };
+        let m = of_path(&trial(&path), &banded).unwrap();
+        assert_eq!((m.tac, m.odc), (Some(1.0), Some(1.0)));
+    }
+
+    #[test]
+    fn no_path_no_measures() {
+        let one = trial(&[(0.0, 0.0)]);
+        assert_eq!(of_path(&one, &Conventions::default()), None);
+        let told = PathMeasures { tac: Some(2.0), ..PathMeasures::default() };
+        let imported = Trial { measured: Some(told), samples: Vec::new(), ..one };
+        assert_eq!(of_path(&imported, &Conventions::default()), Some(told));
+        assert_eq!(submovements(&[]), 0);
+    }
+
+    #[test]
+    fn two_bursts_are_two_submovements() {
+        let speed = |t: f64| (-((t - 0.4) / 0.1).powi(2)).exp() + 0.3 * (-((t - 1.2) / 0.1).powi(2)).exp();
+        let mut x = 0.0;
+        let points: Vec<(f64, f64)> = (0..80)
+            .map(|i| {
+                x += speed(0.02 * f64::from(i)) * 100.0 * 0.02;
+                (x, 0.0)
+            })
+            .collect();
+        assert_eq!(submovements(&trial(&points).samples), 2);
+    }
+
+    proptest! {
+        #[test]
+        fn any_path_has_finite_measures(points in prop::collection::vec((-1e3..1e3f64, -1e3..1e3f64), 0..60), smoothed in any::<bool>()) {
+            let conventions = if smoothed { Conventions { path: PathRule::Smoothed, ..Conventions::default() } } else { Conventions::default() };
+            if let Some(m) = of_path(&trial(&points), &conventions) {
+                for value in m.values().into_iter().flatten() {
+                    prop_assert!(value.is_finite());
+                }
+                prop_assert!(m.me.unwrap() + 1e-9 >= m.mo.unwrap().abs());
+            }
+        }
+    }
+}

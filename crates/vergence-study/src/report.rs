@@ -1,0 +1,460 @@
+//! The report: one page that says what was measured, how, and what was left out.
+
+use std::collections::BTreeMap;
+
+use vergence_report::{Axis as PlotAxis, Cell, Column, Page, Plot, Point, Series, Style, Table};
+
+use crate::Error;
+use crate::analysis::{Analysis, Row};
+use crate::convention::{Axis, Difficulty, Frame, MeanTime, Outliers, PathRule, Reach, SQRT_2_PI_E};
+use crate::tradeoff::{self, Front};
+use crate::trial::PathMeasures;
+
+/// Most rows that the page's table and plots show; the tables that `analyze` writes have all.
+const MOST_ROWS: usize = 2_000;
+
+/// Knobs of the weighted homographic fit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Who {
+    /// Asymptote of the movement time, seconds.
+    pub x0_s: f64,
+    /// Asymptote of the relative spread.
+    pub y0: f64,
+    /// Which points are fitted.
+    pub front: Front,
+}
+
+impl Default for Who {
+    fn default() -> Self {
+        Self { x0_s: 0.0, y0: 0.0, front: Front::Convex }
+    }
+}
+
+impl Who {
+    /// The fit to an analysis: x is each row's mean movement time, y its spread over its mean amplitude.
+    pub fn fit(&self, analysis: &Analysis) -> Option<tradeoff::Who> {
+        tradeoff::who(&points(analysis), self.x0_s, self.y0, self.front)
+    }
+}
+
+fn points(analysis: &Analysis) -> Vec<(f64, f64)> {
+    let point =
+        |row: &Row| Some((row.ends.mt_s?, row.ends.x.sd? / row.ends.x.amplitude.filter(|a| *a > 0.0)?));
+    analysis.rows.iter().filter_map(point).collect()
+}
+
+fn shown(value: Option<f64>, decimals: usize, unit: &str) -> String {
+    value.map_or_else(|| "not available".to_owned(), |value| format!("{value:.decimals$}{unit}"))
+}
+
+fn number(value: Option<f64>) -> Cell {
+    value.map_or(Cell::Empty, Cell::Number)
+}
+
+/// The page. `title` heads it, `who` says how the speed-accuracy law is fitted, `notes` (warnings of importers) are
+/// printed under the exclusions.
+///
+/// # Errors
+/// Where a plot cannot be drawn.
+pub fn page(title: &str, analysis: &Analysis, who: Who, notes: &[String]) -> Result<Page, Error> {
+    let unit = analysis.length_unit.as_str();
+    let mut page = Page::new(title).paragraph(&format!(
+        "{} participant(s), {} trials in {} sequences (participant × session × block × condition). Throughput {} along the \
+         task axis{}; mean movement time {}; misses {}.",
+        analysis.participants(),
+        analysis.trials(),
+        analysis.rows.len(),
+        shown(analysis.tp_mean_of_means(), 3, " bits/s"),
+        analysis.tp_xy_mean_of_means().map_or_else(String::new, |tp| format!(", {tp:.3} bits/s in all dimensions")),
+        shown(analysis.mean(|row| row.ends.mt_s), 3, " s"),
+        shown(analysis.error_rate().map(|rate| 100.0 * rate), 1, " %"),
+    ));
+    page = page.heading("Throughput").table(&throughput(analysis));
+    page = fitts(page, analysis)?;
+    page = trade(page, analysis, who)?;
+    page = errors(page, analysis)?;
+    page = page.heading("Sequences");
+    if analysis.rows.len() > MOST_ROWS {
+        page = page.paragraph(&format!("The first {MOST_ROWS} of {}.", analysis.rows.len()));
+    }
+    page = page
+        .paragraph(&format!("Press a column's head to sort by it. Lengths in {unit}, times in seconds, IDe in bits, TP in bits/s."))
+        .table(&sequences(analysis));
+    page = page.heading("What was left out");
+    let mut left = Table::new(vec![Column::new("what", 0), Column::new("how many", 0)]);
+    for (what, count) in &analysis.exclusions {
+        left.push(vec![Cell::Text(what.clone()), Cell::Number(*count as f64)], false);
+    }
+    page = page.table(&left);
+    for note in notes {
+        page = page.paragraph(&format!("Note: {note}."));
+    }
+    page = page.heading("Methods");
+    for sentence in methods(analysis) {
+        page = page.paragraph(&sentence);
+    }
+    let mut knobs = Table::new(vec![Column::new("convention", 0), Column::new("value", 0)]);
+    for (name, value) in analysis.conventions.listed() {
+        knobs.push(vec![Cell::Text(name.to_owned()), Cell::Text(value)], false);
+    }
+    Ok(page.table(&knobs))
+}
+
+/// Means over sequences, by instruction where there are several, else by participant.
+fn throughput(analysis: &Analysis) -> Table {
+    let by_instruction = analysis.stability.as_ref().is_some_and(|stability| stability.levels.len() > 1);
+    let mut groups: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
+    for row in &analysis.rows {
+        let name =
+            if by_instruction { row.instruction.as_deref().unwrap_or("") } else { &row.key.participant };
+        groups.entry(name).or_default().push(row);
+    }
+    let head = if by_instruction { "instruction" } else { "participant" };
+    let titles = [
+        (head, 0),
+        ("sequences", 0),
+        ("TP (bits/s)", 3),
+        ("TP all dimensions", 3),
+        ("MT (s)", 3),
+        ("misses (%)", 1),
+        ("SD along axis", 4),
+    ];
+    let mut table =
+        Table::new(titles.into_iter().map(|(title, decimals)| Column::new(title, decimals)).collect());
+    let mut line = |name: &str, rows: &[&Row], marked: bool| {
+        let mean = |of: &dyn Fn(&Row) -> Option<f64>| {
+            number(rows.iter().filter_map(|row| of(row)).collect::<vergence_stats::Moments>().mean())
+        };
+        let cells = vec![
+            Cell::Text(name.to_owned()),
+            Cell::Number(rows.len() as f64),
+            mean(&|row| row.ends.x.tp),
+            mean(&|row| row.ends.xy.tp),
+            mean(&|row| row.ends.mt_s),
+            mean(&|row| row.ends.error_rate.map(|rate| 100.0 * rate)),
+            mean(&|row| row.ends.x.sd),
+        ];
+        table.push(cells, marked);
+    };
+    for (name, rows) in &groups {
+        line(name, rows, false);
+    }
+    if groups.len() > 1 {
+        line("all", &analysis.rows.iter().collect::<Vec<_>>(), true);
+    }
+    table
+}
+
+fn tooltip(row: &Row) -> String {
+    let key = &row.key;
+    format!(
+        "{} {} {}: IDe {}, MT {}, TP {}",
+        key.participant,
+        key.session,
+        key.condition,
+        shown(row.ends.x.ide, 2, " bits"),
+        shown(row.ends.mt_s, 3, " s"),
+        shown(row.ends.x.tp, 2, " bits/s")
+    )
+}
+
+/// Groups for the plots' legends: instructions, or one group.
+fn grouped(analysis: &Analysis) -> Vec<(String, Vec<&Row>)> {
+    let mut groups: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
+    for row in analysis.rows.iter().take(MOST_ROWS) {
+        groups.entry(row.instruction.as_deref().unwrap_or("sequences")).or_default().push(row);
+    }
+    groups.into_iter().map(|(name, rows)| (name.to_owned(), rows)).collect()
+}
+
+fn fitts(page: Page, analysis: &Analysis) -> Result<Page, Error> {
+    let mut plot = Plot::new(
+        "Movement time and effective difficulty",
+        PlotAxis::linear("IDe (bits)"),
+        PlotAxis::linear("mean movement time (s)"),
+    );
+    for (name, rows) in grouped(analysis) {
+        let points = rows
+            .iter()
+            .filter_map(|row| Some(Point::new(row.ends.x.ide?, row.ends.mt_s?).with_tooltip(tooltip(row))));
+        plot = plot.with(Series::new(name, Style::FaintPoints, points.collect()));
+    }
+    let mut text = "Too few sequences for a line.".to_owned();
+    if let Some(fit) = &analysis.fit {
+        let ides: Vec<f64> = analysis.rows.iter().filter_map(|row| row.ends.x.ide).collect();
+        let low = ides.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = ides.iter().copied().fold(0.0, f64::max);
+        let line = [low, high].map(|x| Point::new(x, fit.a + fit.b * x)).to_vec();
+        plot = plot.with(Series::new("MT = a + b IDe", Style::Curve, line));
+        let interval = |i: usize, unit: &str| {
+            fit.intervals[i]
+                .map_or_else(String::new, |(from, to)| format!(" (95 % interval {from:.4} to {to:.4}{unit})"))
+        };
+        text = format!(
+            "MT = a + b IDe over {} sequences by least squares: a = {:.4} s{}, b = {:.4} s/bit{}, r = {}; 1/b = {:.3} bits/s.",
+            fit.n,
+            fit.a,
+            interval(0, " s"),
+            fit.b,
+            interval(1, " s/bit"),
+            shown(fit.r, 4, ""),
+            1.0 / fit.b
+        );
+    }
+    Ok(page.heading("Fitts' law").plot(&plot)?.paragraph(&text))
+}
+
+fn trade(page: Page, analysis: &Analysis, knobs: Who) -> Result<Page, Error> {
+    let mut page = page.heading("Speed against accuracy");
+    let mut plot = Plot::new(
+        "What speed costs in accuracy",
+        PlotAxis::log("mean movement time (s)"),
+        PlotAxis::log("relative spread (SD / mean amplitude)"),
+    );
+    for (name, rows) in grouped(analysis) {
+        let points = rows.iter().filter_map(|row| {
+            let spread = row.ends.x.sd? / row.ends.x.amplitude.filter(|a| *a > 0.0)?;
+            Some(Point::new(row.ends.mt_s?, spread).with_tooltip(tooltip(row)))
+        });
+        plot = plot.with(Series::new(name, Style::FaintPoints, points.collect()));
+    }
+    let cloud = points(analysis);
+    let text = match knobs.fit(analysis) {
+        Some(fit) => {
+            let front: Vec<(f64, f64)> = tradeoff::front_of(&cloud, knobs.front).into_iter().map(|i| cloud[i]).collect();
+            let (low, high) = front.iter().fold((f64::INFINITY, 0f64), |(low, high), (x, _)| (low.min(*x), high.max(*x)));
+            let curve = (0..=40).map(|i| low * (high / low).powf(f64::from(i) / 40.0)).filter(|x| *x > fit.x0_s);
+            let curve = curve.map(|x| Point::new(x, fit.y0 + (fit.k / (x - fit.x0_s).powf(fit.alpha)).powf(1.0 / (1.0 - fit.alpha))));
+            plot = plot
+                .with(Series::new("front", Style::Rings, front.iter().map(|(x, y)| Point::new(*x, *y)).collect()))
+                .with(Series::new("fitted law", Style::Curve, curve.collect()));
+            format!(
+                "Weighted homographic law (y − y0)^(1−α) (x − x0)^α = k (Guiard and Rioul 2015), x mean movement time, y \
+                 relative spread, fitted by least squares of logarithms to the {} front ({} of {} sequences, {} beyond the \
+                 asymptotes) with x0 = {} s and y0 = {}: α = {:.3}, k = {:.4}, R² = {}.",
+                knobs.front.name(), fit.points[1], fit.points[0], fit.points[2], fit.x0_s, fit.y0, fit.alpha, fit.k,
+                shown(fit.r2, 3, "")
+            )
+        }
+        None => "The law of speed against accuracy has no fit: accuracy does not rise with time along the front, or it has \
+                 too few points."
+            .to_owned(),
+    };
+    page = page.plot(&plot)?.paragraph(&text);
+    if let Some(cv) = analysis.stability.as_ref().and_then(|stability| stability.cv) {
+        page = page.paragraph(&format!(
+            "Throughput varies by {:.1} % (coefficient of variation, n − 1) between instructions.",
+            100.0 * cv
+        ));
+    }
+    let missed = analysis.rows.iter().any(|row| row.errors > 0);
+    if !missed {
+        page = page.paragraph("No target was missed: there is no accuracy to plot against time.");
+    }
+    if missed && !analysis.accuracy.is_empty() {
+        let axes = (PlotAxis::linear("mean movement time of the bin (s)"), PlotAxis::linear("misses (%)"));
+        let mut plot = Plot::new("Conditional accuracy: misses by movement time", axes.0, axes.1);
+        for (name, bins) in &analysis.accuracy {
+            let name = if name.is_empty() { "all trials" } else { name };
+            let points = bins.iter().map(|bin| {
+                Point::new(bin.mt_s, 100.0 * bin.error_rate).with_tooltip(format!(
+                    "{:.1} % of {} trials missed",
+                    100.0 * bin.error_rate,
+                    bin.n
+                ))
+            });
+            plot = plot.with(Series::new(name, Style::Line, points.collect()));
+        }
+        page = page.plot(&plot)?;
+    }
+    Ok(page)
+}
+
+fn errors(page: Page, analysis: &Analysis) -> Result<Page, Error> {
+    let Some(model) = analysis
+        .error_model
+        .as_ref()
+        .filter(|model| model.points.iter().any(|(_, observed)| *observed > 0.0))
+    else {
+        return Ok(page);
+    };
+    let axes = (PlotAxis::linear("predicted misses (%)"), PlotAxis::linear("observed misses (%)"));
+    let points = model.points.iter().take(MOST_ROWS).map(|(x, y)| Point::new(100.0 * x, 100.0 * y)).collect();
+    let most = model.points.iter().fold(0f64, |most, (x, y)| most.max(*x).max(*y)) * 100.0;
+    let plot = Plot::new("Misses: predicted and observed", axes.0, axes.1)
+        .with(Series::new("sequences", Style::FaintPoints, points))
+        .with(Series::new("equal", Style::Curve, vec![Point::new(0.0, 0.0), Point::new(most, most)]));
+    let text = format!(
+        "Error model for pointing (Wobbrock et al. 2008): 1 − erf(2.066 (W/A)(2^((MT − a)/b) − 1)/√2) with a and b as above. \
+         Observed = {} · predicted + {}, r = {}.",
+        shown(model.m, 3, ""),
+        shown(model.b, 4, ""),
+        shown(model.r, 3, "")
+    );
+    Ok(page.heading("Misses").plot(&plot)?.paragraph(&text))
+}
+
+/// What a column of texts takes from a row.
+type Text<'a> = &'a dyn Fn(&Row) -> String;
+/// What a column of numbers takes from a row.
+type Value<'a> = &'a dyn Fn(&Row) -> Option<f64>;
+
+fn sequences(analysis: &Analysis) -> Table {
+    let several = |of: &dyn Fn(&Row) -> String| {
+        let mut names: Vec<String> = analysis.rows.iter().map(of).collect();
+        names.sort_unstable();
+        names.dedup();
+        names.len() > 1
+    };
+    let texts: [(&str, Text<'_>); 5] = [
+        ("participant", &|row| row.key.participant.clone()),
+        ("session", &|row| row.key.session.clone()),
+        ("block", &|row| row.key.block.clone()),
+        ("condition", &|row| row.key.condition.clone()),
+        ("instruction", &|row| row.instruction.clone().unwrap_or_default()),
+    ];
+    let texts: Vec<_> = texts.into_iter().filter(|(name, of)| *name == "condition" || several(of)).collect();
+    let numbers: [(&str, usize, Value<'_>); 12] = [
+        ("n", 0, &|row| Some(row.n as f64)),
+        ("MT", 3, &|row| row.ends.mt_s),
+        ("misses (%)", 1, &|row| row.ends.error_rate.map(|rate| 100.0 * rate)),
+        ("Ae", 4, &|row| row.ends.x.amplitude),
+        ("SD", 4, &|row| row.ends.x.sd),
+        ("We", 4, &|row| row.ends.x.we),
+        ("IDe", 3, &|row| row.ends.x.ide),
+        ("TP", 3, &|row| row.ends.x.tp),
+        ("SD all", 4, &|row| row.ends.xy.sd),
+        ("TP all", 3, &|row| row.ends.xy.tp),
+        ("left out", 0, &|row| Some(row.outliers as f64)),
+        ("bias", 4, &|row| row.ends.bias),
+    ];
+    let paths: Vec<usize> =
+        (0..9).filter(|i| analysis.rows.iter().any(|row| row.path.values()[*i].is_some())).collect();
+    let columns = texts.iter().map(|(name, _)| Column::new(*name, 0));
+    let columns = columns.chain(numbers.iter().map(|(name, decimals, _)| Column::new(*name, *decimals)));
+    let columns = columns.chain(paths.iter().map(|i| Column::new(PathMeasures::NAMES[*i].to_uppercase(), 2)));
+    let mut table = Table::new(columns.collect());
+    for row in analysis.rows.iter().take(MOST_ROWS) {
+        let cells = texts.iter().map(|(_, of)| Cell::Text(of(row)));
+        let cells = cells.chain(numbers.iter().map(|(_, _, of)| number(of(row))));
+        let cells = cells.chain(paths.iter().map(|i| number(row.path.values()[*i])));
+        table.push(cells.collect(), false);
+    }
+    table
+}
+
+/// What was computed and how, in sentences for a paper.
+fn methods(analysis: &Analysis) -> Vec<String> {
+    let c = &analysis.conventions;
+    let factor =
+        if c.we_factor == SQRT_2_PI_E { "√(2πe) = 4.1327".to_owned() } else { c.we_factor.to_string() };
+    let axis = match c.axis {
+        Axis::Nominal => {
+            "The task axis runs from the centre of the last target to the centre of this one; amplitudes are measured along it from where the movement really began."
+        }
+        Axis::Start => {
+            "The task axis runs from where the movement really began to the centre of the target (as in FittsStudy)."
+        }
+        Axis::Serial => {
+            "The task axis runs from the centre of the last target to the centre of this one; an amplitude is their distance plus the end's deviation, plus that of the movement before (as in GoFitts)."
+        }
+    };
+    let spread = match (c.frame, c.reach) {
+        (Frame::Task, _) => {
+            "In all dimensions the spread is √(Σ|p − p̄|²/(n − 1)) of the ends relative to the target, each turned into the frame of its own axis"
+        }
+        (Frame::World, _) => {
+            "In all dimensions the spread is √(Σ|p − p̄|²/(n − 1)) of the ends relative to the target, as recorded (not turned)"
+        }
+    };
+    let reach = match c.reach {
+        Reach::Straight => "the amplitude the mean straight distance from start to end.",
+        Reach::Axis => "the amplitude the same as along the axis.",
+    };
+    let id = match c.difficulty {
+        Difficulty::Shannon => "log2(A/W + 1)",
+        Difficulty::Fitts => "log2(2 A/W)",
+    };
+    let time = match c.mean_time {
+        MeanTime::Exact => "",
+        MeanTime::WholeMs => " Mean movement times are cut to whole milliseconds.",
+    };
+    let outliers = match c.outliers {
+        Outliers::Keep => "No trial was left out as an outlier.",
+        Outliers::Spatial => {
+            "Misses that ended before half the amplitude or more than 2 W from the centre were left out."
+        }
+        Outliers::ThreeSd => {
+            "Trials whose time or end lies more than 3 SD from the mean of its sequence were left out."
+        }
+        Outliers::Mad => {
+            "Trials whose time lies more than 3 scaled median absolute deviations from the median of its sequence were left out."
+        }
+        Outliers::Temporal => "Trials outside of 75 % to 125 % of the metronome's time were left out.",
+        Outliers::Misses => "Missed targets were left out.",
+    };
+    let path = match c.path {
+        PathRule::Thresholds => format!(
+            "Paths are taken as recorded; crossings count beyond ±{} {u}, turns beyond {} {u}.",
+            c.crossing_band,
+            c.turn_jump,
+            u = analysis.length_unit
+        ),
+        PathRule::Smoothed => {
+            "Paths are resampled at 100 Hz and smoothed by a Gaussian of 5 samples before counting."
+                .to_owned()
+        }
+    };
+    vec![
+        format!(
+            "Difficulty is ID = {id} (bits); effective width We = {factor} · SD of the ends along the task axis (n − 1), IDe with the mean amplitude Ae, throughput TP = IDe / mean MT for each sequence, then the mean of these means. Points of different people are never pooled.{time}"
+        ),
+        axis.to_owned(),
+        format!("{spread}; {reach}"),
+        format!("{outliers} Misses are counted among all trials that are not practice."),
+        format!(
+            "{path} TRE, TAC, MDC, ODC, MV, ME and MO follow MacKenzie, Kauppinen and Silfverberg (2001)."
+        ),
+        format!("Computed by vergence-study {}.", env!("CARGO_PKG_VERSION")),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::analyse;
+    use crate::import::{ColumnMap, Tool, import};
+
+    #[test]
+    fn a_page_has_plots_tables_and_methods() {
+        let mut text = String::from("participant,instruction,condition,mt_s,dx,amplitude,width\n");
+        for i in 0..240u32 {
+            let (p, s, c) = (i % 4, i / 4 % 3, i / 12 % 4);
+            let noise = f64::from(i.wrapping_mul(2_654_435_761) >> 16) / 65_536.0 - 0.5;
+            let speed = f64::from(s + 1);
+            text += &format!(
+                "P{p},{},c{c},{},{},{},20\n",
+                ["fast", "even", "slow"][s as usize],
+                0.2 * speed + 0.1 * f64::from(c) + 0.05 * noise,
+                20.0 * noise / speed,
+                100 * (c + 1)
+            );
+        }
+        let found = import(Tool::Csv, "t", &text, &ColumnMap::default()).unwrap();
+        let analysis = analyse(&found.data, &found.conventions);
+        let html = page("Test <1>", &analysis, Who::default(), &["a note".into()]).unwrap().to_html();
+        assert_eq!(html.matches("<svg").count(), 4);
+        for part in [
+            "Test &lt;1&gt;",
+            "√(2πe)",
+            "MT = a + b IDe over",
+            "Guiard and Rioul",
+            "Note: a note.",
+            "What was left out",
+            "P3",
+        ] {
+            assert!(html.contains(part), "{part}");
+        }
+        assert!(!html.contains("NaN") && !html.contains("http-equiv=\"refresh"));
+    }
+}

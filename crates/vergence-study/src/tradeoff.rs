@@ -1,0 +1,257 @@
+//! The speed-accuracy trade itself: what people give up in one to gain in the other.
+
+use vergence_stats::{Moments, linear, quantile};
+
+use crate::analysis::Row;
+use crate::measure::fitts::predicted_error;
+
+/// Which points of a cloud are its front.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Front {
+    /// The lower left convex hull, from the fastest point to the most accurate one.
+    Convex,
+    /// The points that none is both faster and more accurate than.
+    Pareto,
+    /// All.
+    All,
+}
+
+impl Front {
+    /// Its name in options and reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Convex => "convex",
+            Self::Pareto => "pareto",
+            Self::All => "all",
+        }
+    }
+}
+
+/// Guiard and Rioul's weighted homographic law (2015): (y − y0)^(1−α) (x − x0)^α = k, x mean movement time (s), y
+/// relative spread (SD over mean amplitude).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Who {
+    /// Weight of time, 0 to 1.
+    pub alpha: f64,
+    /// Amount of resource: smaller is better.
+    pub k: f64,
+    /// Asymptote of x, seconds: given, not fitted.
+    pub x0_s: f64,
+    /// Asymptote of y: given, not fitted.
+    pub y0: f64,
+    /// Which points were fitted.
+    pub front: Front,
+    /// How many points there were, how many are on the front, and how many of these lie beyond both asymptotes.
+    pub points: [usize; 3],
+    /// Of the line in logarithms.
+    pub r2: Option<f64>,
+}
+
+/// Fits the front of `points` (x, y) by least squares of ln(y − y0) on ln(x − x0). None where fewer than two of its
+/// points lie beyond the asymptotes, or y does not fall along it.
+pub fn who(points: &[(f64, f64)], x0_s: f64, y0: f64, front: Front) -> Option<Who> {
+    let chosen = front_of(points, front);
+    let beyond: Vec<(f64, f64)> = chosen
+        .iter()
+        .map(|&i| (points[i].0 - x0_s, points[i].1 - y0))
+        .filter(|(x, y)| *x > 0.0 && *y > 0.0)
+        .map(|(x, y)| (x.ln(), y.ln()))
+        .collect();
+    let (x, y): (Vec<f64>, Vec<f64>) = beyond.iter().copied().unzip();
+    let line = linear(&x, &y).ok()?;
+    let (intercept, slope) = (line.coefficients[0], line.coefficients[1]);
+    if slope >= 0.0 {
+        return None;
+    }
+    let alpha = -slope / (1.0 - slope);
+    let k = (intercept * (1.0 - alpha)).exp();
+    Some(Who { alpha, k, x0_s, y0, front, points: [points.len(), chosen.len(), beyond.len()], r2: line.r2 })
+}
+
+/// The indices of the front's points, by x.
+pub fn front_of(points: &[(f64, f64)], front: Front) -> Vec<usize> {
+    let mut order: Vec<usize> =
+        (0..points.len()).filter(|&i| points[i].0.is_finite() && points[i].1.is_finite()).collect();
+    order.sort_by(|&a, &b| points[a].0.total_cmp(&points[b].0).then(points[a].1.total_cmp(&points[b].1)));
+    if front == Front::All {
+        return order;
+    }
+    let mut kept: Vec<usize> = Vec::new();
+    for i in order {
+        if kept.last().is_some_and(|&last| points[i].1 >= points[last].1) {
+            continue;
+        }
+        if front == Front::Convex {
+            while let [.., a, b] = kept[..] {
+                let turn = (points[b].0 - points[a].0) * (points[i].1 - points[a].1)
+                    - (points[b].1 - points[a].1) * (points[i].0 - points[a].0);
+                if turn > 0.0 {
+                    break;
+                }
+                kept.pop();
+            }
+        }
+        kept.push(i);
+    }
+    kept
+}
+
+/// One instruction (or condition) as a whole.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Level {
+    /// Its name.
+    pub name: String,
+    /// How many sequences.
+    pub sequences: usize,
+    /// Means over the sequences: movement time (s), SD of the ends (length unit), throughput (bits/s), share of misses.
+    pub mt_s: Option<f64>,
+    /// As above.
+    pub sd: Option<f64>,
+    /// As above.
+    pub tp: Option<f64>,
+    /// As above.
+    pub error_rate: Option<f64>,
+}
+
+/// How steady throughput is when people trade speed for accuracy.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stability {
+    /// One per instruction, in order of their names.
+    pub levels: Vec<Level>,
+    /// Coefficient of variation of the levels' throughputs (n − 1), share; none for fewer than two.
+    pub cv: Option<f64>,
+}
+
+/// Means by instruction over the rows that have one.
+pub fn stability(rows: &[Row]) -> Option<Stability> {
+    let mut names: Vec<&str> = rows.iter().filter_map(|row| row.instruction.as_deref()).collect();
+    names.sort_unstable();
+    names.dedup();
+    if names.is_empty() {
+        return None;
+    }
+    let level = |name: &str| {
+        let own: Vec<&Row> = rows.iter().filter(|row| row.instruction.as_deref() == Some(name)).collect();
+        let mean = |of: &dyn Fn(&Row) -> Option<f64>| {
+            own.iter().filter_map(|row| of(row)).collect::<Moments>().mean()
+        };
+        Level {
+            name: name.to_owned(),
+            sequences: own.len(),
+            mt_s: mean(&|row| row.ends.mt_s),
+            sd: mean(&|row| row.ends.x.sd),
+            tp: mean(&|row| row.ends.x.tp),
+            error_rate: mean(&|row| row.ends.error_rate),
+        }
+    };
+    let levels: Vec<Level> = names.into_iter().map(level).collect();
+    let tps: Moments = levels.iter().filter_map(|level| level.tp).collect();
+    let cv = tps.sd().zip(tps.mean()).filter(|(_, mean)| *mean > 0.0).map(|(sd, mean)| sd / mean);
+    Some(Stability { levels, cv })
+}
+
+/// One bin of a conditional accuracy function.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CafBin {
+    /// Mean movement time of the trials in it, seconds.
+    pub mt_s: f64,
+    /// Share of them that missed.
+    pub error_rate: f64,
+    /// Trials.
+    pub n: usize,
+}
+
+/// Conditional accuracy function: trials sorted by movement time into `bins` of about the same size (edges are type-7
+/// quantiles), with the share of misses in each. Empty bins are left out.
+pub fn conditional_accuracy(trials: &[(f64, bool)], bins: usize) -> Vec<CafBin> {
+    let times: Vec<f64> = trials.iter().map(|(mt, _)| *mt).filter(|mt| mt.is_finite()).collect();
+    let mut found = Vec::new();
+    let mut from = f64::NEG_INFINITY;
+    for bin in 1..=bins {
+        let Some(to) = quantile(&times, bin as f64 / bins as f64) else { break };
+        let own: Vec<&(f64, bool)> =
+            trials.iter().filter(|(mt, _)| *mt > from && (*mt <= to || bin == bins)).collect();
+        let n = own.len();
+        if n > 0 {
+            found.push(CafBin {
+                mt_s: own.iter().map(|(mt, _)| mt).sum::<f64>() / n as f64,
+                error_rate: own.iter().filter(|(_, error)| *error).count() as f64 / n as f64,
+                n,
+            });
+        }
+        from = to;
+    }
+    found
+}
+
+/// The error model for pointing (Wobbrock et al. 2008): predicted against observed shares of misses.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorModel {
+    /// (predicted, observed) of each row that has nominal sizes.
+    pub points: Vec<(f64, f64)>,
+    /// observed = m · predicted + b.
+    pub m: Option<f64>,
+    /// As above.
+    pub b: Option<f64>,
+    /// Correlation.
+    pub r: Option<f64>,
+}
+
+/// Predicts each row's errors from its sizes, its movement time and the line MT = a + b ID.
+pub fn error_model(rows: &[Row], a: f64, b: f64) -> ErrorModel {
+    let points: Vec<(f64, f64)> = rows
+        .iter()
+        .filter_map(|row| {
+            let predicted = predicted_error(row.amplitude?, row.width?, row.ends.mt_s?, a, b)?;
+            Some((predicted, row.ends.error_rate?))
+        })
+        .collect();
+    let (x, y): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
+    let line = linear(&x, &y).ok();
+    let slope = line.as_ref().map(|line| line.coefficients[1]);
+    let r = line
+        .as_ref()
+        .and_then(|line| line.r2)
+        .zip(slope)
+        .map(|(r2, slope)| r2.max(0.0).sqrt() * slope.signum());
+    ErrorModel { m: slope, b: line.map(|line| line.coefficients[0]), r, points }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_finds_what_made_the_points() {
+        let (alpha, k, x0, y0) = (0.6, 0.07, 0.09, 0.002);
+        let curve = |x: f64| y0 + (k / (x - x0).powf(alpha)).powf(1.0 / (1.0 - alpha));
+        let mut points: Vec<(f64, f64)> =
+            (1..20).map(|i| 0.3 + 0.1 * f64::from(i)).map(|x| (x, curve(x))).collect();
+        // Worse blocks behind the front change nothing.
+        points.extend((1..20).map(|i| 0.3 + 0.1 * f64::from(i)).map(|x| (x + 0.05, 3.0 * curve(x))));
+        for front in [Front::Convex, Front::Pareto] {
+            let fit = who(&points, x0, y0, front).unwrap();
+            assert!((fit.alpha - alpha).abs() < 1e-9 && (fit.k - k).abs() < 1e-9, "{fit:?}");
+            assert_eq!(fit.points[0], 38);
+        }
+        assert_eq!(who(&[(1.0, 1.0)], 0.0, 0.0, Front::All), None);
+        assert_eq!(who(&[(1.0, 1.0), (2.0, 2.0)], 0.0, 0.0, Front::All), None);
+    }
+
+    #[test]
+    fn fronts() {
+        let points = [(1.0, 5.0), (2.0, 3.9), (3.0, 1.0), (2.5, 4.0), (4.0, 1.0), (f64::NAN, 0.0)];
+        assert_eq!(front_of(&points, Front::Pareto), [0, 1, 2]);
+        assert_eq!(front_of(&points, Front::Convex), [0, 2]);
+        assert_eq!(front_of(&points, Front::All).len(), 5);
+    }
+
+    #[test]
+    fn faster_trials_miss_more() {
+        let trials: Vec<(f64, bool)> = (0..100).map(|i| (f64::from(i), i < 20)).collect();
+        let bins = conditional_accuracy(&trials, 5);
+        assert_eq!(bins.iter().map(|bin| bin.n).sum::<usize>(), 100);
+        assert_eq!((bins[0].error_rate, bins[4].error_rate), (1.0, 0.0));
+        assert!(conditional_accuracy(&[], 5).is_empty());
+    }
+}

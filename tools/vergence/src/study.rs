@@ -1,0 +1,556 @@
+//! `vergence study`: study files, recordings of other tools, analysis, report.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use clap::{Subcommand, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use vergence_report::{Cell, Column, Table};
+use vergence_study::{
+    Analysis, ColumnMap, Conventions, Error, Front, Imported, Maps, Study, TEMPLATE, Tool, WhoKnobs, analyse,
+    analyse_trials, conditions_csv, import, page, stream, summary_json, together, trials_csv,
+};
+
+use crate::failure::Failure;
+
+/// Tables larger than this are analysed in one pass, without keeping their trials.
+const STREAM_BYTES: u64 = 64 << 20;
+
+/// Plans, reads and analyses studies of pointing
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Subcommand)]
+enum What {
+    /// Writes a commented study file
+    New(New),
+    /// Says what is wrong with a study file, and how many trials, minutes and participants it means
+    Check(Check),
+    /// Effective measures, throughput, paths, speed against accuracy
+    ///
+    /// Recordings of FittsStudy (.csv, .txt, .xml), 3DFitts (.json), GoFitts (.sd3) and tables with a column map are
+    /// told apart by their content and analysed by the conventions of their tool, which the options replace one by one.
+    /// Tables above 64 MiB are analysed in one pass.
+    Analyze(Analyze),
+    /// One self-contained HTML page: plots, tables, methods, exclusions
+    Report(Report),
+    /// Turns recordings of another tool into a table of trials that needs no map
+    Import(Import),
+}
+
+impl Args {
+    /// Runs it.
+    pub fn run(self) -> Result<(), Failure> {
+        match self.what {
+            What::New(verb) => verb.run(),
+            What::Check(verb) => verb.run(),
+            What::Analyze(verb) => verb.run(),
+            What::Report(verb) => verb.run(),
+            What::Import(verb) => verb.run(),
+        }
+    }
+}
+
+#[derive(clap::Args)]
+struct New {
+    /// Study file to write
+    file: PathBuf,
+    /// Replace it where it is there
+    #[arg(long)]
+    force: bool,
+}
+
+impl New {
+    fn run(self) -> Result<(), Failure> {
+        if self.file.exists() && !self.force {
+            return Err(Failure::Call(format!(
+                "{} is there already (--force replaces it)",
+                self.file.display()
+            )));
+        }
+        write(&self.file, TEMPLATE)?;
+        println!("{}", self.file.display());
+        Ok(())
+    }
+}
+
+#[derive(clap::Args)]
+struct Check {
+    /// Study file
+    file: PathBuf,
+    /// Print one JSON object at the end instead of text
+    #[arg(long)]
+    json: bool,
+}
+
+impl Check {
+    fn run(self) -> Result<(), Failure> {
+        let study = Study::parse(&self.file, &text_of(&self.file)?)
+            .map_err(|error| Failure::Work(error.to_string()))?;
+        let each = (study.practice + study.per_condition) * study.repetitions;
+        let conditions = study.conditions().len();
+        let trials = conditions * study.instructions.len() * each as usize;
+        let (minutes, balanced, warnings) =
+            (study.session_s() / 60.0, study.balanced_after(), study.warnings());
+        if self.json {
+            let object = json!({
+                "name": study.name, "conditions": conditions, "instructions": study.instructions.len(),
+                "trials_per_participant": trials, "minutes_per_participant": minutes, "participants": study.participants,
+                "balanced_after": balanced, "warnings": warnings,
+            });
+            println!("{object}");
+            return Ok(());
+        }
+        println!(
+            "{}: {conditions} conditions × {} instructions × {each} trials = {trials} trials, about {minutes:.0} minutes for each \
+             of {} participants; orders are balanced after every {balanced}",
+            study.name,
+            study.instructions.len(),
+            study.participants
+        );
+        for warning in warnings {
+            println!("warning: {warning}");
+        }
+        Ok(())
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum ToolName {
+    Fittsstudy,
+    #[value(name = "3dfitts")]
+    Threedfitts,
+    Gofitts,
+    Csv,
+}
+
+impl From<ToolName> for Tool {
+    fn from(name: ToolName) -> Self {
+        match name {
+            ToolName::Fittsstudy => Self::FittsStudy,
+            ToolName::Threedfitts => Self::ThreeDFitts,
+            ToolName::Gofitts => Self::GoFitts,
+            ToolName::Csv => Self::Csv,
+        }
+    }
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum FrontName {
+    Convex,
+    Pareto,
+    All,
+}
+
+/// What is read, and the conventions.
+#[derive(clap::Args)]
+struct Input {
+    /// Recordings, or folders of them
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    /// The tool that recorded them; default: seen from their content
+    #[arg(long, value_enum)]
+    tool: Option<ToolName>,
+    /// Column map of a table: a .toml, or the name of a shipped one (guiard2011); default: NAME.toml beside NAME.csv,
+    /// else columns with our names
+    #[arg(long, value_name = "MAP")]
+    columns: Option<String>,
+    /// We = factor · SD: a number, or sqrt(2*pi*e); default: the tool's, ours is sqrt(2*pi*e)
+    #[arg(long, value_name = "FACTOR")]
+    we_factor: Option<String>,
+    /// Task axis: nominal, start (FittsStudy) or serial (GoFitts); default: the tool's, ours is nominal
+    #[arg(long)]
+    axis: Option<String>,
+    /// Outlier policy: keep, spatial, 3sd, 3mad, temporal or misses; default: the tool's, ours is keep
+    #[arg(long)]
+    outliers: Option<String>,
+    /// Index of difficulty: shannon or fitts; default: the tool's, ours is shannon
+    #[arg(long)]
+    id: Option<String>,
+    /// Any other knob, such as frame=world, reach=axis, mean_time=whole-ms, path=smoothed, crossing_band=5,
+    /// turn_jump=10, least_trials=5; may be repeated
+    #[arg(long = "set", value_name = "KNOB=VALUE")]
+    knobs: Vec<String>,
+    /// Asymptote x0 of the weighted homographic law, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    who_x0: f64,
+    /// Asymptote y0 of the weighted homographic law, relative spread
+    #[arg(long, value_name = "SPREAD", default_value_t = 0.0)]
+    who_y0: f64,
+    /// Which sequences the law is fitted to
+    #[arg(long, value_enum, default_value_t = FrontName::Convex)]
+    who_front: FrontName,
+    /// Threads for tables above 64 MiB; 0: as many as there are processors
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+}
+
+/// Trials in memory, or sums of a table that was too long for that.
+enum Found {
+    Trials(Imported),
+    Sums(Box<Analysis>, Vec<String>),
+}
+
+impl Input {
+    fn who(&self) -> WhoKnobs {
+        let front = match self.who_front {
+            FrontName::Convex => Front::Convex,
+            FrontName::Pareto => Front::Pareto,
+            FrontName::All => Front::All,
+        };
+        WhoKnobs { x0_s: self.who_x0, y0: self.who_y0, front }
+    }
+
+    /// The conventions of the recording, with what the call replaces.
+    fn conventions(&self, mut conventions: Conventions) -> Result<Conventions, Failure> {
+        let named = [
+            ("we_factor", &self.we_factor),
+            ("axis", &self.axis),
+            ("outliers", &self.outliers),
+            ("id", &self.id),
+        ];
+        let call = |error: Error| Failure::Call(error.to_string());
+        for (knob, value) in named {
+            if let Some(value) = value {
+                conventions.set(knob, value).map_err(call)?;
+            }
+        }
+        for knob in &self.knobs {
+            let Some((name, value)) = knob.split_once('=') else {
+                return Err(Failure::Call(format!("--set expects KNOB=VALUE, found {knob}")));
+            };
+            conventions.set(name, value).map_err(call)?;
+        }
+        Ok(conventions)
+    }
+
+    fn map(&self, file: &Path) -> Result<ColumnMap, Failure> {
+        let call = |error: Error| Failure::Call(error.to_string());
+        let path = match &self.columns {
+            Some(name) => match Maps::named(name) {
+                Some(map) => return map.map_err(call),
+                None => PathBuf::from(name),
+            },
+            None => {
+                let beside = file.with_extension("toml");
+                if !beside.is_file() {
+                    return Ok(ColumnMap::default());
+                }
+                beside
+            }
+        };
+        ColumnMap::parse(&path, &text_of(&path)?).map_err(call)
+    }
+
+    fn read(&self) -> Result<Found, Failure> {
+        let files = files_of(&self.inputs)?;
+        let in_file = |file: &Path, error: &Error| {
+            let text = error.to_string();
+            // As compilers do it, so that editors find the place.
+            let text = text.strip_prefix("line ").map_or(format!(": {text}"), |rest| format!(":{rest}"));
+            Failure::Work(format!("{}{text}", file.display()))
+        };
+        let mut parts = Vec::new();
+        for file in &files {
+            let unreadable = |error: std::io::Error| Failure::Call(format!("{}: {error}", file.display()));
+            let bytes = std::fs::metadata(file).map_err(unreadable)?.len();
+            let tool = match self.tool {
+                Some(tool) => tool.into(),
+                None => Tool::guess(&head_of(file).map_err(unreadable)?),
+            };
+            if tool == Tool::Csv && bytes > STREAM_BYTES && files.len() == 1 {
+                let map = self.map(file)?;
+                let conventions =
+                    self.conventions(map.resolved().map_err(|error| Failure::Call(error.to_string()))?)?;
+                let threads = match self.threads {
+                    0 => std::thread::available_parallelism().map_or(1, usize::from),
+                    threads => threads,
+                };
+                let bar = progress(bytes);
+                let input = File::open(file).map_err(unreadable)?;
+                let found = stream(input, &map, Some(&conventions), threads, |read| bar.set_position(read));
+                bar.finish_and_clear();
+                let found = found.map_err(|error| in_file(file, &error))?;
+                let note =
+                    format!("{} rows are not wanted by the map or lack a number it needs", found.absent);
+                let notes = if found.absent > 0 { vec![note] } else { Vec::new() };
+                return Ok(Found::Sums(Box::new(found.analysis), notes));
+            }
+            let map = if tool == Tool::Csv { self.map(file)? } else { ColumnMap::default() };
+            let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+            parts.push(import(tool, &name, &text_of(file)?, &map).map_err(|error| in_file(file, &error))?);
+        }
+        let mut all = together(parts).map_err(|error| Failure::Work(error.to_string()))?;
+        all.conventions = self.conventions(all.conventions)?;
+        Ok(Found::Trials(all))
+    }
+
+    fn analysis(&self) -> Result<(Analysis, Option<Imported>, Vec<String>), Failure> {
+        match self.read()? {
+            Found::Sums(analysis, notes) => Ok((*analysis, None, notes)),
+            Found::Trials(all) => {
+                let notes = all.warnings.clone();
+                Ok((analyse(&all.data, &all.conventions), Some(all), notes))
+            }
+        }
+    }
+}
+
+#[derive(clap::Args)]
+struct Analyze {
+    #[command(flatten)]
+    input: Input,
+    /// Print one JSON object at the end instead of a table
+    #[arg(long)]
+    json: bool,
+    /// Write trials.csv (not for tables above 64 MiB) and conditions.csv there
+    #[arg(long, value_name = "DIR")]
+    csv: Option<PathBuf>,
+}
+
+impl Analyze {
+    fn run(self) -> Result<(), Failure> {
+        let (analysis, trials, notes) = self.input.analysis()?;
+        for note in &notes {
+            log::warn!("{note}");
+        }
+        if let Some(folder) = &self.csv {
+            std::fs::create_dir_all(folder)
+                .map_err(|error| Failure::Work(format!("{}: {error}", folder.display())))?;
+            write(&folder.join("conditions.csv"), &conditions_csv(&analysis))?;
+            if let Some(all) = &trials {
+                write(&folder.join("trials.csv"), &trials_csv(&analyse_trials(&all.data, &all.conventions)))?;
+                write(&folder.join("trials.toml"), &map_of(all))?;
+            }
+        }
+        let who = self.input.who().fit(&analysis);
+        if self.json {
+            println!("{}", summary_json(&analysis, who.as_ref()));
+            return Ok(());
+        }
+        print!("{}", text_table(&analysis));
+        let shown = |value: Option<f64>, decimals: usize| {
+            value.map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
+        };
+        println!(
+            "\n{} participants, {} sequences, {} trials, misses {} %\nthroughput: {} bits/s along the axis, {} in all dimensions \
+             (means of means)",
+            analysis.participants(),
+            analysis.rows.len(),
+            analysis.trials(),
+            shown(analysis.error_rate().map(|rate| 100.0 * rate), 1),
+            shown(analysis.tp_mean_of_means(), 3),
+            shown(analysis.tp_xy_mean_of_means(), 3)
+        );
+        if let Some(fit) = &analysis.fit {
+            println!("MT = {:.4} s + {:.4} s/bit · IDe, r = {}", fit.a, fit.b, shown(fit.r, 4));
+        }
+        if let Some(stability) = analysis.stability.as_ref().filter(|stability| stability.levels.len() > 1) {
+            for level in &stability.levels {
+                println!(
+                    "  {}: MT {} s, SD {}, TP {} bits/s",
+                    level.name,
+                    shown(level.mt_s, 3),
+                    shown(level.sd, 3),
+                    shown(level.tp, 3)
+                );
+            }
+            println!("  throughput varies by {} %", shown(stability.cv.map(|cv| 100.0 * cv), 1));
+        }
+        if let Some(who) = who {
+            println!(
+                "(y − y0)^(1−α) (x − x0)^α = k: α = {:.3}, k = {:.4}; x0 = {} s, y0 = {}, {} front of {} of {} sequences, {} of it fitted",
+                who.alpha,
+                who.k,
+                who.x0_s,
+                who.y0,
+                who.front.name(),
+                who.points[1],
+                who.points[0],
+                who.points[2]
+            );
+        }
+        let knobs: Vec<String> = analysis
+            .conventions
+            .listed()
+            .into_iter()
+            .map(|(name, value)| format!("{name} {value}"))
+            .collect();
+        println!("conventions: {}", knobs.join(", "));
+        for (what, count) in analysis.exclusions.iter().filter(|(_, count)| *count > 0) {
+            println!("left out: {count} {what}");
+        }
+        Ok(())
+    }
+}
+
+/// The first rows; all of them are in conditions.csv.
+fn text_table(analysis: &Analysis) -> String {
+    const MOST: usize = 60;
+    let titles = [
+        ("participant", 0),
+        ("session", 0),
+        ("block", 0),
+        ("condition", 0),
+        ("n", 0),
+        ("MT (s)", 3),
+        ("misses", 3),
+        ("Ae", 4),
+        ("We", 4),
+        ("IDe", 3),
+        ("TP", 3),
+        ("TP all", 3),
+    ];
+    let mut table =
+        Table::new(titles.into_iter().map(|(title, decimals)| Column::new(title, decimals)).collect());
+    let number = |value: Option<f64>| value.map_or(Cell::Empty, Cell::Number);
+    for row in analysis.rows.iter().take(MOST) {
+        let key = &row.key;
+        let ends = &row.ends;
+        let mut cells: Vec<Cell> = [&key.participant, &key.session, &key.block, &key.condition]
+            .map(|text| Cell::Text(text.clone()))
+            .to_vec();
+        cells.push(Cell::Number(row.n as f64));
+        cells.extend(
+            [ends.mt_s, ends.error_rate, ends.x.amplitude, ends.x.we, ends.x.ide, ends.x.tp, ends.xy.tp]
+                .map(number),
+        );
+        table.push(cells, false);
+    }
+    let more = analysis.rows.len().saturating_sub(MOST);
+    let rest =
+        if more > 0 { format!("  … and {more} more (--csv DIR writes all)\n") } else { String::new() };
+    table.to_text() + &rest
+}
+
+#[derive(clap::Args)]
+struct Report {
+    #[command(flatten)]
+    input: Input,
+    /// Page to write
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Heads the page
+    #[arg(long, default_value = "Pointing study")]
+    title: String,
+}
+
+impl Report {
+    fn run(self) -> Result<(), Failure> {
+        let (analysis, _, notes) = self.input.analysis()?;
+        let page =
+            page(&self.title, &analysis, self.input.who(), &notes).map_err(|error| Failure::work(&error))?;
+        write(&self.output, &page.to_html())?;
+        println!("{}", self.output.display());
+        Ok(())
+    }
+}
+
+#[derive(clap::Args)]
+struct Import {
+    /// The tool that recorded them
+    #[arg(value_enum)]
+    from: ToolName,
+    #[command(flatten)]
+    input: Input,
+    /// Table of trials to write (.csv); its conventions go to a .toml beside it
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+}
+
+impl Import {
+    fn run(mut self) -> Result<(), Failure> {
+        if self.output.extension().is_none_or(|extension| extension != "csv") {
+            return Err(Failure::Call(format!(
+                "expected an output that ends in .csv, found {}",
+                self.output.display()
+            )));
+        }
+        self.input.tool = Some(self.from);
+        let all = match self.input.read()? {
+            Found::Trials(all) => all,
+            Found::Sums(..) => {
+                return Err(Failure::Call(
+                    "this table is above 64 MiB: `study analyze` reads it as it is".to_owned(),
+                ));
+            }
+        };
+        for note in &all.warnings {
+            log::warn!("{note}");
+        }
+        write(&self.output, &trials_csv(&analyse_trials(&all.data, &all.conventions)))?;
+        write(&self.output.with_extension("toml"), &map_of(&all))?;
+        println!("{}: {} trials", self.output.display(), all.data.trials.len());
+        Ok(())
+    }
+}
+
+/// The map that reads our own table again by the same conventions.
+fn map_of(all: &Imported) -> String {
+    let mut text = format!(
+        "length_unit = {:?}\ndimensions = {}\n\n[conventions]\n",
+        all.data.length_unit, all.data.dimensions
+    );
+    for (name, value) in all.conventions.listed() {
+        text += &format!("{name} = {value:?}\n");
+    }
+    text
+}
+
+/// Files as given, and those of folders that look like recordings, by name.
+fn files_of(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
+    let mut files = Vec::new();
+    for input in inputs {
+        if !input.is_dir() {
+            files.push(input.clone());
+            continue;
+        }
+        let unreadable = |error: std::io::Error| Failure::Call(format!("{}: {error}", input.display()));
+        let mut own = Vec::new();
+        for entry in std::fs::read_dir(input).map_err(unreadable)? {
+            let path = entry.map_err(unreadable)?.path();
+            let known = path
+                .extension()
+                .is_some_and(|own| ["csv", "json", "xml", "sd3", "txt"].iter().any(|e| own == *e));
+            if known && path.is_file() {
+                own.push(path);
+            }
+        }
+        if own.is_empty() {
+            return Err(Failure::Call(format!(
+                "{}: expected recordings (.csv, .json, .xml, .sd3, .txt), found none",
+                input.display()
+            )));
+        }
+        own.sort();
+        files.extend(own);
+    }
+    Ok(files)
+}
+
+fn head_of(file: &Path) -> std::io::Result<String> {
+    use std::io::Read as _;
+    let mut head = Vec::new();
+    File::open(file)?.take(2048).read_to_end(&mut head)?;
+    Ok(String::from_utf8_lossy(&head).into_owned())
+}
+
+fn progress(bytes: u64) -> ProgressBar {
+    let bar = ProgressBar::new(bytes);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {bytes} of {total_bytes}, {eta}") {
+        bar.set_style(style);
+    }
+    bar
+}
+
+fn text_of(file: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(file).map_err(|error| Failure::Call(format!("{}: {error}", file.display())))
+}
+
+fn write(file: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(file, text).map_err(|error| Failure::Work(format!("{}: {error}", file.display())))
+}
