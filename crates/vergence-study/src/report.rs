@@ -436,7 +436,7 @@ mod tests {
                 "P{p},{},c{c},{},{},{},20\n",
                 ["fast", "even", "slow"][s as usize],
                 0.2 * speed + 0.1 * f64::from(c) + 0.05 * noise,
-                20.0 * noise / speed,
+                30.0 * noise / speed,
                 100 * (c + 1)
             );
         }

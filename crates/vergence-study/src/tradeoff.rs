@@ -47,7 +47,7 @@ pub struct Who {
     pub r2: Option<f64>,
 }
 
-/// Fits the front of `points` (x, y) by least squares of ln(y − y0) on ln(x − x0). None where fewer than two of its
+/// Fits the front of `points` (x, y) by least squares of ln(y − y0) on ln(x − x0). None where fewer than three of its
 /// points lie beyond the asymptotes, or y does not fall along it.
 pub fn who(points: &[(f64, f64)], x0_s: f64, y0: f64, front: Front) -> Option<Who> {
     let chosen = front_of(points, front);
@@ -57,6 +57,9 @@ pub fn who(points: &[(f64, f64)], x0_s: f64, y0: f64, front: Front) -> Option<Wh
         .filter(|(x, y)| *x > 0.0 && *y > 0.0)
         .map(|(x, y)| (x.ln(), y.ln()))
         .collect();
+    if beyond.len() < 3 {
+        return None;
+    }
     let (x, y): (Vec<f64>, Vec<f64>) = beyond.iter().copied().unzip();
     let line = linear(&x, &y).ok()?;
     let (intercept, slope) = (line.coefficients[0], line.coefficients[1]);
