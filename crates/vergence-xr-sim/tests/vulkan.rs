@@ -11,7 +11,7 @@ use openxr as xr;
 use vergence_geom::{Fov, Rigid};
 use vergence_gpu::vk;
 use vergence_xr_sim::{Capture, ComposedFrame, Config, Profile, Still};
-use vulkan_client::{Client, Picture};
+use vulkan_client::{Client, Picture, Quad};
 use xr::SessionState as S;
 use xr::sys;
 
@@ -271,6 +271,49 @@ fn a_quad_is_where_it_was_put() {
         assert!(composed.rgba.chunks_exact(4).all(|texel| texel[1] == 0 && texel[2] == 0 && texel[3] == 255));
     }
     drop(picture);
+    client.finish();
+}
+
+/// Layers lie upon one another in the order in which they are submitted, not by distance; for the eyes that they name; and
+/// what shines through is added up in linear light.
+#[test]
+fn quads_lie_in_their_order_for_their_eyes_with_their_alpha() {
+    use sys::CompositionLayerFlags as F;
+    let (config, frames) = small();
+    let Some(mut client) = Client::new(Config { motion: Box::new(Still::default()), ..config }) else {
+        return;
+    };
+    let picture = |client: &Client| Picture::new(client, vk::Format::R8G8B8A8_SRGB, (4, 4), 1);
+    let mut pictures: Vec<Picture> = (0..4).map(|_| picture(&client)).collect();
+    let [ground, straight, multiplied, far] = &mut pictures[..] else { unreachable!() };
+    // Half of full light is the code 188.
+    let half = encoded(0.5);
+    let [green, red, half_red, blue] =
+        [[0, 255, 0, 255], [255, 0, 0, 128], [half, 0, 0, 128], [0, 0, 255, 255]].map(|c| c.repeat(16));
+    let quad = |bytes, at, side: f32, eyes, flags| Quad { bytes, at, size: [side, side], eyes, flags };
+    let (both, left, right) = (xr::EyeVisibility::BOTH, xr::EyeVisibility::LEFT, xr::EyeVisibility::RIGHT);
+    let alpha = F::BLEND_TEXTURE_SOURCE_ALPHA;
+    client.show_quads(&mut [
+        (ground, quad(&green, [0.0, 0.0, -1.0], 4.0, both, F::EMPTY)),
+        (straight, quad(&red, [0.0, 0.0, -1.0], 4.0, left, alpha | F::UNPREMULTIPLIED_ALPHA)),
+        (multiplied, quad(&half_red, [0.0, 0.0, -1.0], 4.0, right, alpha)),
+        // Behind all the others, and shown upon them.
+        (far, quad(&blue, [0.0, 0.0, -5.0], 1.0, both, F::EMPTY)),
+    ]);
+    let frame = frames.try_iter().last().unwrap();
+    for (eye, composed) in frame.eyes.iter().enumerate() {
+        let texel = |x: f64, y: f64| {
+            let start = 4 * (y as usize * SIZE.0 as usize + x as usize);
+            [composed.rgba[start], composed.rgba[start + 1], composed.rgba[start + 2]]
+        };
+        let fov = composed.view_in_local.fov;
+        let middle = place(&fov, SIZE, &nalgebra::Vector3::new(0.0, 0.0, -5.0));
+        assert_eq!(texel(middle.0, middle.1), [0, 0, 255], "eye {eye}");
+        let aside = place(&fov, SIZE, &nalgebra::Vector3::new(0.3, 0.2, -1.0));
+        let [r, g, b] = texel(aside.0, aside.1);
+        assert!(r.abs_diff(half) <= 1 && g.abs_diff(half) <= 1 && b == 0, "eye {eye}: {r} {g} {b}");
+    }
+    drop(pictures);
     client.finish();
 }
 

@@ -236,6 +236,13 @@ impl Client {
 
     /// The same with a quad that is fixed to the head.
     pub fn show_quad(&mut self, picture: &mut Picture, bytes: &[u8], at: [f32; 3], size: [f32; 2]) {
+        let quad =
+            Quad { bytes, at, size, eyes: xr::EyeVisibility::BOTH, flags: sys::CompositionLayerFlags::EMPTY };
+        self.show_quads(&mut [(picture, quad)]);
+    }
+
+    /// The same with quads that are fixed to the head, in this order.
+    pub fn show_quads(&mut self, quads: &mut [(&mut Picture, Quad<'_>)]) {
         self.begin();
         loop {
             let (time, should_render) = self.begin_frame();
@@ -243,24 +250,29 @@ impl Client {
                 self.end_frame(time, None).unwrap();
                 continue;
             }
-            picture.fill(self, bytes);
-            let [x, y, z] = at;
-            let raw = sys::CompositionLayerQuad {
-                ty: sys::CompositionLayerQuad::TYPE,
-                next: std::ptr::null(),
-                layer_flags: sys::CompositionLayerFlags::EMPTY,
-                space: self.view.as_raw(),
-                eye_visibility: xr::EyeVisibility::BOTH,
-                sub_image: picture.part(0),
-                pose: xr::Posef {
-                    orientation: xr::Quaternionf::IDENTITY,
-                    position: xr::Vector3f { x, y, z },
-                },
-                size: xr::Extent2Df { width: size[0], height: size[1] },
-            };
-            // SAFETY: the layer points to nothing.
-            let layer = unsafe { xr::CompositionLayerQuad::<xr::Vulkan>::from_raw(raw) };
-            self.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &[&layer]).unwrap();
+            let mut layers = Vec::new();
+            for (picture, quad) in quads.iter_mut() {
+                picture.fill(self, quad.bytes);
+                let [x, y, z] = quad.at;
+                let raw = sys::CompositionLayerQuad {
+                    ty: sys::CompositionLayerQuad::TYPE,
+                    next: std::ptr::null(),
+                    layer_flags: quad.flags,
+                    space: self.view.as_raw(),
+                    eye_visibility: quad.eyes,
+                    sub_image: picture.part(0),
+                    pose: xr::Posef {
+                        orientation: xr::Quaternionf::IDENTITY,
+                        position: xr::Vector3f { x, y, z },
+                    },
+                    size: xr::Extent2Df { width: quad.size[0], height: quad.size[1] },
+                };
+                // SAFETY: the layer points to nothing.
+                layers.push(unsafe { xr::CompositionLayerQuad::<xr::Vulkan>::from_raw(raw) });
+            }
+            let layers: Vec<&xr::CompositionLayerBase<'_, xr::Vulkan>> =
+                layers.iter().map(|layer| &**layer).collect();
+            self.stream.end(time, xr::EnvironmentBlendMode::OPAQUE, &layers).unwrap();
             return;
         }
     }
@@ -288,6 +300,15 @@ impl Client {
             mip_count: 1,
         })
     }
+}
+
+/// A rectangle in front of the head.
+pub struct Quad<'a> {
+    pub bytes: &'a [u8],
+    pub at: [f32; 3],
+    pub size: [f32; 2],
+    pub eyes: xr::EyeVisibility,
+    pub flags: sys::CompositionLayerFlags,
 }
 
 /// A swapchain and what fills it.
