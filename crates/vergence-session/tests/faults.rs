@@ -25,8 +25,8 @@ const FRAMES: u64 = 12;
 const WATCHDOG: Duration = Duration::from_secs(10);
 /// For `HANG`: how long the client itself waits.
 const HANG_S: f64 = 0.5;
-/// Runs at a time: a run waits more than it works.
-const WORKERS: usize = 6;
+/// Runs at a time: Vulkan's loader lets one instance or device come or go after the other.
+const WORKERS: usize = 2;
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -73,7 +73,9 @@ fn expected(entry_point: &str, what: &str, call: u64) -> End {
         "xrEndSession" | "xrRequestExitSession" => End::On,
         _ if lost => End::Anew,
         // A shorter list than the headset's is a headset that cannot be used.
-        "xrEnumerateViewConfigurations" | "xrEnumerateViewConfigurationViews"
+        // One less than one is none.
+        "xrEnumerateViewConfigurations" if matches!(what, "NOTHING" | "COUNT_SHRINKS") => End::Flat,
+        "xrEnumerateViewConfigurationViews"
             if what == "NOTHING" || (what == "COUNT_SHRINKS" && call == 2) =>
         {
             End::Flat
@@ -185,6 +187,7 @@ enum Outcome {
     Unreached,
     Ended(End, String),
     Wrong(String),
+    Hung,
 }
 
 /// Runs a cell on a thread of its own: the runtime is configured per thread, and what hangs is left behind.
@@ -209,7 +212,7 @@ fn play(scene: &Arc<Scene>, profile: &std::path::Path, cell: &Cell) -> Outcome {
     let (result, said) = match receive.recv_timeout(WATCHDOG) {
         Ok(Ok(ended)) => ended,
         Ok(Err(_)) => return Outcome::Wrong("panicked".into()),
-        Err(_) => return Outcome::Wrong("hung".into()),
+        Err(_) => return Outcome::Hung,
     };
     if plan.hits().is_empty() {
         return Outcome::Unreached;
@@ -298,9 +301,16 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
             });
         }
     });
-    let _ = std::fs::remove_dir_all(&folder);
-
     let mut outcomes = outcomes.into_inner().unwrap();
+    // A cell that took too long beside others, on a machine with more to do, is run again alone: what hangs, hangs again.
+    let mut again = 0;
+    for (cell, outcome) in &mut outcomes {
+        if matches!(outcome, Outcome::Hung) {
+            again += 1;
+            *outcome = play(&scene, &profile, cell);
+        }
+    }
+    println!("{again} cells took longer than {WATCHDOG:?} beside others, and were run again alone");
     outcomes
         .sort_by(|(a, _), (b, _)| (a.entry_point, &a.what, a.call).cmp(&(b.entry_point, &b.what, b.call)));
     let (mut ends, mut unreached, mut wrong) = (BTreeMap::<End, usize>::new(), Vec::new(), Vec::new());
@@ -317,6 +327,7 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
                 }
             }
             Outcome::Wrong(why) => wrong.push(format!("{name}: {why}")),
+            Outcome::Hung => wrong.push(format!("{name}: hung")),
         }
     }
     println!("unreached: {}", unreached.join(" "));

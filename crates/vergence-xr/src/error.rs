@@ -145,6 +145,7 @@ const fn is_refusal(result: sys::Result) -> bool {
             | sys::Result::ERROR_VIEW_CONFIGURATION_TYPE_UNSUPPORTED
             | sys::Result::ERROR_ENVIRONMENT_BLEND_MODE_UNSUPPORTED
             | sys::Result::ERROR_REFERENCE_SPACE_UNSUPPORTED
+            | sys::Result::ERROR_PATH_UNSUPPORTED
             | sys::Result::ERROR_SWAPCHAIN_FORMAT_UNSUPPORTED
             | sys::Result::ERROR_DISPLAY_REFRESH_RATE_UNSUPPORTED_FB
     )
