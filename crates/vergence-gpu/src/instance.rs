@@ -270,6 +270,15 @@ impl Instance {
         self.entry.static_fn().get_instance_proc_addr
     }
 
+    /// That there is a device that [`Device::new`](crate::Device::new) would choose by itself.
+    ///
+    /// # Errors
+    ///
+    /// As there: `VERGENCE_GPU` names none, there is none, or none can do what is required.
+    pub fn check_devices(&self) -> Result<(), Error> {
+        crate::select::choose(self).map(|_| ())
+    }
+
     /// Every device that the loader offers, suitable or not, for a diagnosis: name, Vulkan version, driver, and what it lacks.
     ///
     /// # Errors

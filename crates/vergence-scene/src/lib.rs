@@ -44,6 +44,6 @@ pub mod text;
 
 pub use error::Error;
 pub use import::{Limits, Progress};
-pub use load::{load, load_with};
+pub use load::{ENDINGS, load, load_with};
 pub use model::Scene;
 pub use needs::{Coverage, Law, Needs, Surface};

@@ -3,6 +3,9 @@ use std::path::Path;
 use crate::import::{Import, Limits, Progress};
 use crate::{Error, Scene};
 
+/// How the names of files that [`load`] reads end, in lower case.
+pub const ENDINGS: [&str; 5] = ["glb", "gltf", "obj", "ply", "toml"];
+
 /// Loads the scene at `path`: `.glb`, `.gltf`, `.obj`, `.ply`, or a scene file (`.toml`).
 ///
 /// Files that it names must lie in (or below) its folder. What the format can say but Vergence does not draw is in
@@ -32,7 +35,10 @@ pub fn load_with(path: &Path, limits: &Limits, progress: &mut dyn FnMut(Progress
             return Err(Error::invalid(
                 path,
                 "file name",
-                "expected .glb, .gltf, .obj, .ply or .toml, found another ending",
+                format!(
+                    "expected .glb, .gltf, .obj, .ply or .toml, found {}",
+                    extension.as_deref().unwrap_or("none")
+                ),
             ));
         }
     };

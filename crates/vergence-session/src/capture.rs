@@ -33,6 +33,8 @@ pub(crate) struct Picture {
 /// Where pictures come in; shared with the simulated headset, which may outlive the run.
 struct Inlet {
     every: u64,
+    /// Frames of the run before the session began: after a loss, the simulated headset counts from 0 again.
+    before: u64,
     /// The newest picture that was not written, in case it is the last one.
     newest: Option<Picture>,
     /// `None` once the run is over: the writer then ends.
@@ -52,6 +54,7 @@ impl Capture {
     pub(crate) fn start(config: &CaptureConfig, frames: Option<u64>) -> Result<Self, Error> {
         let dir = config.dir.clone();
         std::fs::create_dir_all(&dir).map_err(Error::write(&dir))?;
+        replace_earlier_run(&dir)?;
         let every = match config.every {
             Some(0) => return Err(Error::Call("--capture-every: expected 1 or more, found 0".into())),
             Some(every) => every,
@@ -66,13 +69,18 @@ impl Capture {
             .name("capture".into())
             .spawn(move || write_all(&folder, poses, &receive))
             .map_err(Error::write(&dir))?;
-        let inlet = Inlet { every, newest: None, send: Some(send) };
+        let inlet = Inlet { every, before: 0, newest: None, send: Some(send) };
         Ok(Self { dir, every, inlet: Arc::new(Mutex::new(inlet)), writer: Some(writer) })
     }
 
     /// Whether the frame's picture is one that is written for certain.
     pub(crate) fn wants(&self, frame: u64) -> bool {
         frame.is_multiple_of(self.every)
+    }
+
+    /// A session begins when so many frames of the run have been shown.
+    pub(crate) fn continue_at(&self, frame: u64) {
+        self.inlet.lock().unwrap_or_else(PoisonError::into_inner).before = frame;
     }
 
     /// Takes a picture.
@@ -83,8 +91,9 @@ impl Capture {
     /// What the simulated headset gives its composed pictures to.
     pub(crate) fn of_composed_pictures(&self) -> vergence_xr_sim::Capture {
         let inlet = Arc::clone(&self.inlet);
+        let before = inlet.lock().unwrap_or_else(PoisonError::into_inner).before;
         vergence_xr_sim::Capture::new(move |composed| {
-            inlet.lock().unwrap_or_else(PoisonError::into_inner).take(picture_of(composed));
+            inlet.lock().unwrap_or_else(PoisonError::into_inner).take(picture_of(composed, before));
         })
     }
 
@@ -130,9 +139,37 @@ impl Inlet {
     }
 }
 
-fn picture_of(composed: ComposedFrame) -> Picture {
+/// Takes away what an earlier run has written, so that no picture is mistaken for one of this run.
+fn replace_earlier_run(dir: &Path) -> Result<(), Error> {
+    let mut pictures = Vec::new();
+    for entry in std::fs::read_dir(dir).map_err(Error::write(dir))? {
+        let name = entry.map_err(Error::write(dir))?.file_name();
+        let is_picture = name
+            .to_str()
+            .and_then(|name| name.strip_prefix("frame-")?.strip_suffix(".png"))
+            .is_some_and(|number| number.len() >= 6 && number.bytes().all(|b| b.is_ascii_digit()));
+        if is_picture {
+            pictures.push(dir.join(name));
+        }
+    }
+    let ours = ["poses.jsonl", "summary.json"].map(|name| dir.join(name));
+    // Every run writes its poses first: pictures without them are somebody else's.
+    if !pictures.is_empty() && !ours[0].is_file() {
+        return Err(Error::Call(format!(
+            "--capture: expected a folder of its own, found {} pictures in {} that no run has written there",
+            pictures.len(),
+            dir.display()
+        )));
+    }
+    for path in pictures.iter().chain(&ours).filter(|path| path.is_file()) {
+        std::fs::remove_file(path).map_err(Error::write(path))?;
+    }
+    Ok(())
+}
+
+fn picture_of(composed: ComposedFrame, before: u64) -> Picture {
     Picture {
-        frame: composed.number,
+        frame: before + composed.number,
         display: composed.display_time,
         size: composed.size,
         head: Some(seven(&composed.local_from_head)),

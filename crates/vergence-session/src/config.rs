@@ -2,6 +2,8 @@ use std::path::PathBuf;
 
 use vergence_render::Quality;
 
+use crate::stop::Stop;
+
 /// Which headset to show the scene on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum HeadsetChoice {
@@ -17,7 +19,8 @@ pub enum HeadsetChoice {
 /// Pictures of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CaptureConfig {
-    /// Folder; made where it is missing.
+    /// Folder; made where it is missing. What an earlier run has written there is replaced; a folder with other
+    /// pictures of the same names is refused.
     pub dir: PathBuf,
     /// Every how many frames a picture is written. `None`: each one of runs of up to 300 frames, else the first and the
     /// last one.
@@ -91,6 +94,8 @@ pub struct RunConfig {
     pub control: vergence_xr_sim::Control,
     /// What the simulated headset does wrong. Only there.
     pub faults: vergence_xr_sim::FaultPlan,
+    /// Ends the run from outside.
+    pub stop: Stop,
 }
 
 impl Default for RunConfig {
@@ -118,6 +123,7 @@ impl Default for RunConfig {
             validation: false,
             control: vergence_xr_sim::Control::default(),
             faults: vergence_xr_sim::FaultPlan::default(),
+            stop: Stop::default(),
         }
     }
 }

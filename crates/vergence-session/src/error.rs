@@ -49,11 +49,20 @@ impl Error {
         matches!(
             self,
             Self::Call(_)
-                | Self::Simulated(_)
+                | Self::Headset(vergence_xr::Error::RefreshRate { .. })
+                | Self::Headset(vergence_xr::Error::Gpu(vergence_gpu::Error::NoSuchDevice { .. }))
+                | Self::Simulated(
+                    vergence_xr_sim::Error::Config(_)
+                        | vergence_xr_sim::Error::Unknown { .. }
+                        | vergence_xr_sim::Error::Value { .. }
+                        | vergence_xr_sim::Error::Trajectory { .. }
+                )
                 | Self::Window(_)
                 | Self::Render(vergence_render::Error::Range { .. })
                 | Self::Render(vergence_render::Error::Gpu(vergence_gpu::Error::Unsupported { .. }))
-                | Self::Gpu(vergence_gpu::Error::Unsupported { .. })
+                | Self::Gpu(
+                    vergence_gpu::Error::Unsupported { .. } | vergence_gpu::Error::NoSuchDevice { .. }
+                )
         )
     }
 

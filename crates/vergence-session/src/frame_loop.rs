@@ -29,6 +29,9 @@ const FAREWELL: Duration = Duration::from_secs(5);
 /// How often a session that shows nothing is asked whether it does now.
 const IDLE_POLL: Duration = Duration::from_millis(2);
 
+/// How long a state that keeps the user from the scene may last before it is said: starts and ends pass through all.
+const SILENCE: Duration = Duration::from_secs(1);
+
 /// How a session ended.
 pub(crate) enum End {
     /// As it should, in this state.
@@ -150,6 +153,10 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     let surface = run.desk.as_ref().and_then(Desk::display);
     let desc = gpu::InstanceDesc { app_name: "vergence", validation, surface };
     let instance = gpu::Instance::new(&desc, Some(&mut creator)).map_err(|error| creator.explain(error))?;
+    if chosen.is_simulated {
+        // The simulated headset goes by the same choice, and can say only that it failed.
+        instance.check_devices()?;
+    }
     let device_desc = gpu::DeviceDesc { present: surface.is_some(), ..gpu::DeviceDesc::default() };
     let device = gpu::Device::new(&instance, &device_desc, Some(&mut creator))
         .map_err(|error| creator.explain(error))?;
@@ -185,6 +192,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
 
     let report = &mut run.report;
     report.device = format!("{} ({})", device.limits().name, device.limits().driver);
+    report.software = device.limits().software;
     report.size = pictures.size;
     report.views = pictures.views;
     report.msaa = run.config.quality.msaa;
@@ -195,6 +203,13 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     report.profiles = client.accepted_profiles().iter().map(|&name| name.to_owned()).collect();
     if client.has_actions() {
         report.actions = run.plan.actions.actions.iter().map(|action| action.name.to_owned()).collect();
+    }
+    let runtime = report.runtime.clone();
+    if run.config.hand_joints && !client.reads_hand_joints() {
+        run.warn(&format!("the joints of the hands are not read: {runtime} does not offer them"));
+    }
+    if run.config.eye_gaze && !client.reads_gaze() {
+        run.warn(&format!("the gaze is not read: {runtime} does not offer it"));
     }
     if run.book.is_none() && run.tally.losses == 0 {
         run.book = open_book(run, chosen, &client);
@@ -256,6 +271,7 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
     let patience = Duration::try_from_secs_f64(run.config.patience_s).unwrap_or(Duration::MAX);
     let mut waiting_since = Instant::now();
     let mut leaving: Option<Instant> = None;
+    let mut waiting = Waiting::new();
     loop {
         let began = OurCpu::now(&session.client);
         let state = match session.client.poll() {
@@ -272,6 +288,9 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
             },
         };
         attend(run, session)?;
+        if leaving.is_none() {
+            waiting.follow(run, state);
+        }
         match state {
             State::Running { .. } => match frame(run, session, began, leaving.is_some()) {
                 Ok(Outcome::Shown) => waiting_since = Instant::now(),
@@ -294,7 +313,7 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
             }
         }
         let closed = run.desk.as_mut().is_some_and(Desk::follow);
-        if leaving.is_none() && (closed || is_over(run)) {
+        if leaving.is_none() && (closed || is_over(run) || run.config.stop.is_stopped()) {
             if !state.is_running() {
                 // Nothing to say farewell to.
                 return Ok(End::Over(State::Exiting));
@@ -335,7 +354,33 @@ fn is_over(run: &Run<'_>) -> bool {
         || run.config.seconds.is_some_and(|seconds| run.tally.elapsed().as_secs_f64() >= seconds)
 }
 
-/// Says what has happened, and follows it.
+/// Says what keeps the user from the scene, once, when it has lasted for a while.
+struct Waiting {
+    state: State,
+    since: Instant,
+    said: bool,
+}
+
+impl Waiting {
+    fn new() -> Self {
+        Self { state: State::Idle, since: Instant::now(), said: false }
+    }
+
+    fn follow(&mut self, run: &mut Run<'_>, state: State) {
+        if state != self.state {
+            *self = Self { state, ..Self::new() };
+        }
+        if !self.said && self.since.elapsed() >= SILENCE {
+            self.said = true;
+            let hands_matter = !run.plan.actions.actions.is_empty();
+            if state.keeps_user_from_scene() && (hands_matter || !state.is_visible()) {
+                run.say(state.sentence());
+            }
+        }
+    }
+}
+
+/// Follows what has happened. What the user did, or can do nothing about, is kept for the report only.
 fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
     let mut mask_changed = false;
     let recording = book::of(&mut session.client).and_then(|book| book.recording.as_mut());
@@ -352,7 +397,10 @@ fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
             Notice::HiddenAreaChanged => mask_changed = true,
             Notice::HandsChanged | Notice::RefreshRate { .. } | Notice::Time(_) | Notice::EventsLost(_) => {}
         }
-        run.say(&notice.to_string());
+        log::info!("{notice}");
+        if !matches!(notice, Notice::State(_) | Notice::HandsChanged) {
+            run.note(&notice.to_string());
+        }
     }
     if mask_changed {
         session.device.wait_idle()?;

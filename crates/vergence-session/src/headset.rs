@@ -55,7 +55,11 @@ fn wait_for_real(config: &RunConfig, plan: &Plan, say: &mut dyn FnMut(&str)) -> 
     loop {
         match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
             Ok(connection) => return Ok(connection),
-            Err(error) if error.state() == State::WaitingForRuntime && Instant::now() < until => {
+            Err(error)
+                if error.state() == State::WaitingForRuntime
+                    && Instant::now() < until
+                    && !config.stop.is_stopped() =>
+            {
                 if !std::mem::replace(&mut said, true) {
                     say(&format!("{error}; waiting {:.0} s for it", config.wait_s));
                 }

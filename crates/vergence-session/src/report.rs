@@ -15,7 +15,7 @@ pub struct Milliseconds {
     pub max: f64,
 }
 
-/// GPU time of one pass.
+/// Time of one pass on the Vulkan device.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PassReport {
     /// The pass.
@@ -71,7 +71,7 @@ pub struct RunReport {
     pub frames: u64,
     /// Frames that were paced, shown or not.
     pub paced: u64,
-    /// Frames that the display showed nothing new in.
+    /// Periods of the display without a new picture: it showed the one before once more.
     pub missed: u64,
     /// How often the session was lost and asked for anew.
     pub losses: u32,
@@ -81,10 +81,12 @@ pub struct RunReport {
     pub frame_cpu_ms: Milliseconds,
     /// Age of the pose, from asking for it to the return of vkQueueSubmit, host clock.
     pub pose_age_ms: Milliseconds,
-    /// GPU time per pass.
+    /// Time per pass on the Vulkan device (a processor, where [`Self::software`] says so).
     pub gpu_ms: Vec<PassReport>,
     /// The Vulkan device.
     pub device: String,
+    /// Whether that is a program on the processor, not a GPU.
+    pub software: bool,
     /// Pixels per view.
     pub size: (u32, u32),
     /// Views per frame.
@@ -107,8 +109,10 @@ pub struct RunReport {
     pub hands: [Option<String>; 2],
     /// What was pointed at or taken; the first thousand.
     pub touches: Vec<Touch>,
-    /// What was said to the user meanwhile.
+    /// What happened meanwhile, in sentences.
     pub notices: Vec<String>,
+    /// What was asked for and is not there, one sentence each.
+    pub warnings: Vec<String>,
     /// Messages of Vulkan validation; `None` where it was off or is not installed.
     pub validation_messages: Option<u64>,
     /// The recording; `None` where none was asked for.
@@ -131,20 +135,24 @@ impl std::fmt::Display for RunReport {
             if self.depth_layer { ", depth submitted" } else { "" },
             if self.visibility_mask { ", hidden pixels left out" } else { "" }
         )?;
-        writeln!(
-            f,
-            "frames         {} in {:.2} s, {} missed, ended {}",
-            self.frames, self.seconds, self.missed, self.state
-        )?;
+        writeln!(f, "frames         {} in {:.2} s, ended {}", self.frames, self.seconds, self.state)?;
+        if self.missed > 0 {
+            writeln!(
+                f,
+                "missed         {} more periods of the display had no new picture: it showed the one before again",
+                self.missed
+            )?;
+        }
         let Milliseconds { p50, p95, p99, .. } = self.frame_cpu_ms;
         writeln!(
             f,
             "frame CPU      p50 {p50:.3}, p95 {p95:.3}, p99 {p99:.3} ms (ours, without driver and runtime)"
         )?;
         let Milliseconds { p50, p99, .. } = self.pose_age_ms;
-        writeln!(f, "pose age       p50 {p50:.3}, p99 {p99:.3} ms when handed to the GPU")?;
+        writeln!(f, "pose age       p50 {p50:.3}, p99 {p99:.3} ms when handed to the device")?;
+        let kind = if self.software { "software" } else { "GPU" };
         for pass in &self.gpu_ms {
-            writeln!(f, "GPU {:<10} {:.3} ms", pass.name, pass.ms)?;
+            writeln!(f, "{:<14} {:.3} ms ({kind}, last frame)", pass.name, pass.ms)?;
         }
         if let Some(recording) = &self.recording {
             let RecordReport { path, messages, dropped, frame_us, error } = recording;

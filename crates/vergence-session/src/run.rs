@@ -22,6 +22,8 @@ use crate::verify::{Comparison, Verifier};
 
 /// How long a real runtime is given to come back after it was lost, seconds.
 const COME_BACK_S: f64 = 10.0;
+/// Notices that the report keeps.
+const NOTICES_KEPT: usize = 1000;
 
 /// Something that happened while a scene runs, for whoever shows progress.
 #[derive(Clone, Copy, Debug)]
@@ -70,11 +72,23 @@ pub(crate) struct Again {
 }
 
 impl Run<'_> {
-    /// Says a sentence to the user and keeps it for the report.
+    /// Says a sentence that the user can act on, and keeps it for the report.
     pub(crate) fn say(&mut self, sentence: &str) {
-        log::info!("{sentence}");
         (self.watch)(Happening::Said(sentence));
-        if self.report.notices.len() < 1000 {
+        self.note(sentence);
+    }
+
+    /// Says a sentence that the user must know of to trust the result, and keeps it among the report's warnings.
+    pub(crate) fn warn(&mut self, sentence: &str) {
+        if !self.report.warnings.iter().any(|known| known == sentence) {
+            (self.watch)(Happening::Said(sentence));
+            self.report.warnings.push(sentence.to_owned());
+        }
+    }
+
+    /// Keeps for the report what happened without the user's doing.
+    pub(crate) fn note(&mut self, sentence: &str) {
+        if self.report.notices.len() < NOTICES_KEPT {
             self.report.notices.push(sentence.to_owned());
         }
     }
@@ -129,7 +143,7 @@ fn whole(
         desk: if config.window { Some(Desk::open()?) } else { None },
         book: None,
         again,
-        report: RunReport::default(),
+        report: RunReport { warnings: scene.warnings.clone(), ..RunReport::default() },
         watch,
     };
     let result = sessions(&mut run);
@@ -196,6 +210,10 @@ fn sessions(run: &mut Run<'_>) -> Result<(), Error> {
             return Err(Error::Headset(lost));
         }
         run.say(&format!("{lost}; asking for it anew"));
+        if run.config.stop.is_stopped() {
+            run.report.state = lost_state.to_owned();
+            return Ok(());
+        }
         if run.config.headset == HeadsetChoice::OpenXr {
             std::thread::sleep(Duration::from_secs(1));
         }
@@ -207,6 +225,9 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
     let config = run.config.clone();
     let (watch, notices) = (&mut *run.watch, &mut run.report.notices);
     let by_hand = run.desk.as_ref().map(Desk::user);
+    if let Some(capture) = &run.capture {
+        capture.continue_at(run.tally.frames);
+    }
     let again = run.again.as_ref();
     let chosen =
         headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, again, &mut |sentence| {

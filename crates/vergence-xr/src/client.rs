@@ -45,7 +45,7 @@ pub struct SessionDesc<'a> {
     pub hand_joints: bool,
     /// Whether the gaze is read.
     pub eye_gaze: bool,
-    /// The display's rate, where the runtime lets it be chosen; `None`: as it is.
+    /// The display's rate, which must be one that it has; `None`: as it is.
     pub refresh_rate_hz: Option<f32>,
     /// How long `xrWaitFrame` may take until the runtime is taken for hung. Default 10 s.
     pub wait_patience: Duration,
@@ -182,7 +182,7 @@ impl Client {
         });
         let input = Input::new(connection, &session, desc.actions, desc.eye_gaze)?;
         let joints = if desc.hand_joints { Hands::new(connection, &session)? } else { None };
-        choose_refresh_rate(connection, &session, desc.refresh_rate_hz);
+        choose_refresh_rate(connection, &session, desc.refresh_rate_hz)?;
         Ok(Self {
             lifecycle: Lifecycle::new(),
             notices: Notices::default(),
@@ -643,6 +643,16 @@ impl Client {
         self.input.as_ref().map_or(&[], Input::accepted_profiles)
     }
 
+    /// Whether the runtime gives the joints of the hands.
+    pub const fn reads_hand_joints(&self) -> bool {
+        self.joints.is_some()
+    }
+
+    /// Whether the runtime gives the gaze.
+    pub fn reads_gaze(&self) -> bool {
+        self.input.as_ref().is_some_and(Input::reads_gaze)
+    }
+
     /// Whether actions were created at all.
     pub const fn has_actions(&self) -> bool {
         self.input.is_some()
@@ -687,6 +697,8 @@ impl Drop for Client {
 /// More than any mask has.
 const MOST_MASK_ELEMENTS: u32 = 1_000_000;
 const REFRESH_RATE: &str = "XR_FB_display_refresh_rate";
+/// Rates nearer than this are one: 90 Hz is 89.9 on some displays.
+const SAME_RATE_HZ: f32 = 0.5;
 
 fn create_session(
     connection: &Connection,
@@ -752,25 +764,26 @@ fn choose_pictures(
     Ok(Pictures { color_format, depth_format, size, views })
 }
 
-/// Asks for the rate nearest to the wanted one. A refusal is no reason to show nothing.
+/// Asks for a rate that the display has.
 fn choose_refresh_rate(
     connection: &Connection,
     session: &openxr::Session<openxr::Vulkan>,
     wanted_hz: Option<f32>,
-) {
-    let Some(wanted_hz) = wanted_hz else { return };
-    if !connection.has(REFRESH_RATE) {
-        log::warn!("the runtime does not let the display's rate be chosen");
-        return;
-    }
-    let rates = session.enumerate_display_refresh_rates().unwrap_or_default();
-    let nearest =
-        rates.iter().copied().min_by(|a, b| (a - wanted_hz).abs().total_cmp(&(b - wanted_hz).abs()));
-    let Some(nearest) = nearest else { return };
-    match session.request_display_refresh_rate(nearest) {
-        Ok(()) => log::info!("asked for {nearest} Hz (wanted {wanted_hz}, offered {rates:?})"),
-        Err(result) => log::warn!("the runtime refuses {nearest} Hz: {result}"),
-    }
+) -> Result<(), Error> {
+    let Some(wanted_hz) = wanted_hz else { return Ok(()) };
+    let rates = if connection.has(REFRESH_RATE) {
+        session.enumerate_display_refresh_rates().during("xrEnumerateDisplayRefreshRatesFB")?
+    } else {
+        Vec::new()
+    };
+    let near = rates.iter().copied().find(|rate| (rate - wanted_hz).abs() <= SAME_RATE_HZ);
+    let Some(rate_hz) = near else {
+        let offered: Vec<String> = rates.iter().map(|rate| format!("{rate} Hz")).collect();
+        let offered =
+            if offered.is_empty() { "none, the runtime decides".into() } else { offered.join(", ") };
+        return Err(Error::RefreshRate { wanted_hz, offered });
+    };
+    session.request_display_refresh_rate(rate_hz).during("xrRequestDisplayRefreshRateFB")
 }
 
 /// What the eye of a view never sees; nothing where the runtime's mesh is none.

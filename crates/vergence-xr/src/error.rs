@@ -54,6 +54,14 @@ pub enum Error {
         /// What the runtime offers.
         found: String,
     },
+    /// The display has no such rate.
+    #[error("the display cannot run at {wanted_hz} Hz: expected one of {offered}")]
+    RefreshRate {
+        /// What was asked for.
+        wanted_hz: f32,
+        /// What there is.
+        offered: String,
+    },
     /// The session is lost; a new one may be asked for.
     #[error("the session was lost ({call}); it can be asked for anew")]
     SessionLost {
@@ -116,6 +124,7 @@ impl Error {
             Self::NoLoader { .. }
             | Self::MissingExtension { .. }
             | Self::Unsupported { .. }
+            | Self::RefreshRate { .. }
             | Self::Gpu(_) => State::Flat,
         }
     }

@@ -25,7 +25,7 @@ impl Hands {
         let offered = connection.has("XR_EXT_hand_tracking")
             && connection.instance.supports_hand_tracking(connection.system).unwrap_or(false);
         if !offered {
-            log::warn!("the headset does not see hands");
+            log::info!("the headset does not see hands");
             return Ok(None);
         }
         let tracker = |hand| session.create_hand_tracker(hand).during("xrCreateHandTrackerEXT");

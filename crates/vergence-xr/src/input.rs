@@ -157,6 +157,10 @@ impl Input {
         self.readings.get(action).map(|readings| readings[hand.index()])
     }
 
+    pub(crate) fn reads_gaze(&self) -> bool {
+        self.gaze.is_some()
+    }
+
     pub(crate) fn gaze(&self) -> Option<Gaze> {
         Gaze::of(&self.gaze_pose)
     }

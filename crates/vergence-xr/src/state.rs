@@ -34,10 +34,12 @@ impl State {
         match self {
             Self::Flat => "there is no headset",
             Self::WaitingForRuntime => "waiting for the headset and its runtime",
-            Self::Idle => "the session is idle: put the headset on",
-            Self::Running { visible: false, .. } => "the session runs, but the headset does not show it yet",
+            Self::Idle => "nobody wears the headset: put the headset on to go on",
+            Self::Running { visible: false, .. } => {
+                "the headset shows something else: close what is in front of the scene"
+            }
             Self::Running { visible: true, focused: false } => {
-                "the scene is visible; another application has the input"
+                "the scene is visible, but another application has the hands: close its menu"
             }
             Self::Running { visible: true, focused: true } => "the scene is visible and has the input",
             Self::Exiting => "the session has ended",
@@ -58,6 +60,16 @@ impl State {
             Self::Exiting => "exiting",
             Self::Lost { .. } => "lost",
         }
+    }
+
+    /// Whether the user sees the scene.
+    pub const fn is_visible(self) -> bool {
+        matches!(self, Self::Running { visible: true, .. })
+    }
+
+    /// Whether the user does not see the scene or has no hands in it, and could change that.
+    pub const fn keeps_user_from_scene(self) -> bool {
+        matches!(self, Self::Idle | Self::Running { focused: false, .. })
     }
 
     /// Whether frames are paced (waited for, begun and ended).

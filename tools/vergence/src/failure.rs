@@ -7,7 +7,9 @@ use std::process::ExitCode;
 pub enum Failure {
     /// The work failed: exit status 1.
     Work(String),
-    /// The call was wrong, or asks for what this machine cannot give: exit status 2.
+    /// The call was wrong, or asks for what this machine cannot give: exit status 2. The call is what the command line
+    /// and the settings that it names say (options, environment, files of quality, profile, motion), and whether the
+    /// files are there; what is in a scene or a recording is not.
     Call(String),
 }
 
@@ -20,6 +22,16 @@ impl Failure {
     /// The call was wrong for the reason `error`, with all its causes.
     pub fn call(error: &dyn std::error::Error) -> Self {
         Self::Call(with_causes(error))
+    }
+
+    /// From the graphics device: whether it lacks what was asked for, or failed.
+    pub fn gpu(error: &vergence_gpu::Error) -> Self {
+        match error {
+            vergence_gpu::Error::NoSuchDevice { .. } | vergence_gpu::Error::Unsupported { .. } => {
+                Self::call(error)
+            }
+            _ => Self::work(error),
+        }
     }
 
     /// Says it on stderr and gives the exit status.

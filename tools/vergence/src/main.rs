@@ -21,7 +21,8 @@ mod stream;
 mod study;
 mod trade;
 
-use std::process::ExitCode;
+use std::os::unix::process::CommandExt;
+use std::process::{Command, ExitCode};
 
 use clap::{Parser, Subcommand};
 
@@ -69,9 +70,28 @@ impl Verb {
     }
 }
 
+/// That there is no OpenXR runtime is said here in one sentence; the loader takes five lines for it, and reads whether it
+/// may from the environment, which a program may change safely only for its successor.
+fn quiet_loader() {
+    const LOADER_SAYS: &str = "XR_LOADER_DEBUG";
+    if std::env::var_os(LOADER_SAYS).is_some() {
+        return;
+    }
+    let mut arguments = std::env::args_os();
+    let name = arguments.next().unwrap_or_default();
+    if let Ok(program) = std::env::current_exe() {
+        // Returns only where it fails: then the loader says its five lines.
+        let error = Command::new(program).arg0(name).args(arguments).env(LOADER_SAYS, "none").exec();
+        log::debug!("{error}");
+    }
+}
+
 fn main() -> ExitCode {
     let cli = Cli::parse();
     logging::start(cli.verbose);
+    if cli.verbose == 0 && matches!(cli.verb, Verb::Run(_) | Verb::Doctor(_)) {
+        quiet_loader();
+    }
     match cli.verb.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),

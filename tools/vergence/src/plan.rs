@@ -39,11 +39,17 @@ impl Args {
         let report = plan.report();
         let built = vergence_session::cost_of(&scene, &plan);
         if let Err(error) = &built {
+            if error.is_wrong_call() {
+                return Err(Failure::call(error));
+            }
             log::warn!("what is built was not counted: {error}");
         }
         let built = built.ok();
         if self.json {
-            println!("{}", json!({ "scene": scene.name, "plan": report, "built": built }));
+            println!(
+                "{}",
+                json!({ "scene": scene.name, "plan": report, "built": built, "warnings": scene.warnings })
+            );
         } else {
             print!("{}\n{report}", scene.name);
             if let Some(built) = built {

@@ -130,7 +130,7 @@ impl Args {
         };
         let desc = InstanceDesc { app_name: "vergence", validation: self.validate, surface: None };
         let instance = Instance::new(&desc, None).map_err(|e| Failure::work(&e))?;
-        let device = Device::new(&instance, &DeviceDesc::default(), None).map_err(|e| Failure::work(&e))?;
+        let device = Device::new(&instance, &DeviceDesc::default(), None).map_err(|e| Failure::gpu(&e))?;
         quality.check(device.limits()).map_err(|e| Failure::call(&e))?;
         let anisotropy = quality.anisotropy_on(device.limits());
         let target = Target::new(self.size, views.len() as u32);

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
+use signal_hook::consts::{SIGINT, SIGTERM};
 use vergence_session::{CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig};
 
 use crate::failure::Failure;
@@ -25,8 +26,9 @@ pub struct Args {
     /// Simulated headset: default, quest3, index, or a file
     #[arg(long, value_name = "NAME|FILE.toml")]
     profile: Option<String>,
-    /// Simulated headset: how its user moves: still, a motion or script that comes with it, a file, or a recorded session [default: still]
-    #[arg(long, value_name = "still|FILE.toml|SCRIPT.toml|FILE.mcap")]
+    /// Simulated headset: how its user moves: still, a motion or script that comes with it (look-around, room1, tour), a
+    /// motion or script file, or a recorded session [default: still]
+    #[arg(long, value_name = "NAME|FILE.toml|FILE.mcap")]
     motion: Option<String>,
     /// Simulated headset: distance between the eyes [default: the profile's]
     #[arg(long, value_name = "MM")]
@@ -52,7 +54,8 @@ pub struct Args {
     /// Mirrors the pictures in a window until it is closed; drag to look, W A S D and Q E to go, right button to take
     #[arg(long)]
     window: bool,
-    /// Writes stereo pictures, the poses they were seen from, and the report into a folder
+    /// Writes stereo pictures, the poses they were seen from, and the report into a folder; those of an earlier run
+    /// there are replaced
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
     /// Writes every Nth picture [default: all of up to 300 frames, else the first and the last]
@@ -82,7 +85,7 @@ pub struct Args {
     /// Reads further streams
     #[arg(long, value_delimiter = ',', value_name = "STREAM")]
     with: Vec<Stream>,
-    /// The display's rate, where it can be chosen
+    /// The display's rate: one that the headset offers [default: the headset's]
     #[arg(long, value_name = "HZ")]
     refresh_rate: Option<f32>,
     /// Runs under Vulkan validation with synchronization validation; a message is a failure
@@ -103,11 +106,23 @@ pub enum Headset {
     Simulated,
 }
 
+/// Lets Ctrl-C and a request to terminate end the run as it should; a second one ends the process at once.
+fn stop_on_signals(stop: &vergence_session::Stop) -> Result<(), Failure> {
+    for signal in [SIGINT, SIGTERM] {
+        // In this order: a signal that comes while the switch is on already does not wait.
+        signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, stop.switch())
+            .and_then(|_| signal_hook::flag::register(signal, stop.switch()))
+            .map_err(|error| Failure::work(&error))?;
+    }
+    Ok(())
+}
+
 impl Args {
     /// Runs the scene and prints the report.
     pub fn run(self) -> Result<(), Failure> {
         let config = self.config()?;
         let scene = Arc::new(loading::scene(&self.scene)?);
+        stop_on_signals(&config.stop)?;
         let bar = self.bar();
         let mut watch = |happening: Happening<'_>| match happening {
             Happening::Said(sentence) => bar.suspend(|| eprintln!("{sentence}")),

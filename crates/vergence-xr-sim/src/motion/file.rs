@@ -96,13 +96,16 @@ impl Motion {
         }
         match BUILT_IN_MOTIONS
             .iter()
-            .find(|(built_in, _)| Some(*built_in) == path.file_name().and_then(|n| n.to_str()))
+            .find(|(built_in, _)| *built_in == name || built_in.strip_suffix(".toml") == Some(name))
         {
             Some((built_in, text)) => Self::parse(Path::new(built_in), text),
             None => Err(Error::Unknown {
                 kind: "motion",
                 name: name.to_owned(),
-                known: BUILT_IN_MOTIONS.map(|(name, _)| name).join(", "),
+                known: format!(
+                    "still, {}",
+                    BUILT_IN_MOTIONS.map(|(name, _)| name.trim_end_matches(".toml")).join(", ")
+                ),
             }),
         }
     }
@@ -182,6 +185,11 @@ fn load(motion: &Path, name: &str) -> Result<Vec<Sample>, Error> {
                     "; {} asks for it: set VERGENCE_DATA to the folder of the data sets",
                     motion.display()
                 );
+                Error::Trajectory { path, source, hint }
+            }
+            (Error::Trajectory { path, source, .. }, Some(folder)) => {
+                let hint =
+                    format!("; VERGENCE_DATA is {}: is that the folder of the data sets?", folder.display());
                 Error::Trajectory { path, source, hint }
             }
             (error, _) => error,

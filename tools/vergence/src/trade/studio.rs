@@ -42,7 +42,7 @@ impl Studio {
     pub fn open() -> Result<Self, Failure> {
         let desc = InstanceDesc { app_name: "vergence", ..InstanceDesc::default() };
         let instance = Instance::new(&desc, None).map_err(|e| Failure::work(&e))?;
-        let device = Device::new(&instance, &DeviceDesc::default(), None).map_err(|e| Failure::work(&e))?;
+        let device = Device::new(&instance, &DeviceDesc::default(), None).map_err(|e| Failure::gpu(&e))?;
         Ok(Self { device })
     }
 

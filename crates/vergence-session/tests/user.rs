@@ -1,0 +1,121 @@
+//! What a user hears of a run, how a run is ended from outside, and what it leaves in its folder.
+
+#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod stage;
+
+use stage::{Folder, config, disc, has_vulkan};
+use vergence_session::{CaptureConfig, Happening, RunConfig, run};
+
+/// Starting, ending and recentring are the user's own doing: of them nothing is said.
+#[test]
+fn a_run_without_trouble_says_only_which_headset_it_took() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("quiet");
+    let config = config(&folder, 20);
+    let mut said = Vec::new();
+    let report = run(&disc(true), &config, &mut |happening| match happening {
+        Happening::Said(sentence) => said.push(sentence.to_owned()),
+        Happening::Frame { shown: 5, .. } => config.control.recentre(),
+        Happening::Frame { .. } => {}
+    })
+    .unwrap();
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert!(said[0].contains("simulated"), "{said:?}");
+    assert!(report.notices.iter().any(|notice| notice.contains("recentred")), "{:?}", report.notices);
+    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+}
+
+#[test]
+fn a_run_that_is_stopped_ends_as_it_should() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("stop");
+    let capture = CaptureConfig { dir: folder.0.join("pictures"), every: None };
+    let config = RunConfig { frames: None, capture: Some(capture.clone()), ..config(&folder, 1) };
+    let report = run(&disc(false), &config, &mut |happening| {
+        if matches!(happening, Happening::Frame { shown: 10, .. }) {
+            config.stop.stop();
+        }
+    })
+    .unwrap();
+    assert_eq!((report.frames, report.state.as_str()), (10, "exiting"));
+    assert_eq!(report.pictures, ["frame-000000.png", "frame-000009.png"]);
+    assert!(capture.dir.join("summary.json").is_file());
+}
+
+/// After a loss the headset counts from 0 again; pictures of before are not overwritten.
+#[test]
+fn pictures_are_numbered_through_a_loss() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("loss-pictures");
+    let capture = CaptureConfig { dir: folder.0.join("pictures"), every: Some(1) };
+    let config = RunConfig { capture: Some(capture.clone()), ..config(&folder, 20) };
+    let report = run(&disc(false), &config, &mut |happening| {
+        if matches!(happening, Happening::Frame { shown: 8, .. }) {
+            config.control.lose_session();
+        }
+    })
+    .unwrap();
+    assert_eq!((report.frames, report.losses), (20, 1));
+    let expected: Vec<String> = (0..20).map(|number| format!("frame-{number:06}.png")).collect();
+    assert_eq!(report.pictures, expected);
+    assert_eq!(std::fs::read_to_string(capture.dir.join("poses.jsonl")).unwrap().lines().count(), 20);
+}
+
+#[test]
+fn an_earlier_runs_pictures_are_replaced_and_others_are_not_touched() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("again");
+    let dir = folder.0.join("pictures");
+    let shoot = |frames| {
+        let capture = Some(CaptureConfig { dir: dir.clone(), every: Some(1) });
+        run(&disc(false), &RunConfig { capture, ..config(&folder, frames) }, &mut |_| {})
+    };
+    shoot(6).unwrap();
+    std::fs::write(dir.join("notes.txt"), "mine").unwrap();
+    shoot(2).unwrap();
+    let mut names: Vec<String> =
+        dir.read_dir().unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    assert_eq!(names, ["frame-000000.png", "frame-000001.png", "notes.txt", "poses.jsonl", "summary.json"]);
+    // Pictures that no run has left there are refused, and stay.
+    std::fs::remove_file(dir.join("poses.jsonl")).unwrap();
+    let error = shoot(2).unwrap_err();
+    assert!(error.is_wrong_call() && error.to_string().contains("found 2 pictures"), "{error}");
+    assert!(dir.join("frame-000001.png").is_file());
+}
+
+#[test]
+fn a_rate_that_the_display_lacks_is_refused_with_what_it_has() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("rate");
+    let wish = |refresh_rate_hz| RunConfig { refresh_rate_hz, ..config(&folder, 3) };
+    let error = run(&disc(false), &wish(Some(50.0)), &mut |_| {}).unwrap_err();
+    assert!(error.is_wrong_call(), "{error}");
+    assert_eq!(error.to_string(), "the display cannot run at 50 Hz: expected one of 72 Hz");
+    assert_eq!(run(&disc(false), &wish(Some(72.0)), &mut |_| {}).unwrap().frames, 3);
+}
+
+#[test]
+fn streams_that_the_runtime_lacks_are_warned_of() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("streams");
+    let config = RunConfig { hand_joints: true, eye_gaze: true, ..config(&folder, 3) };
+    let report = run(&disc(false), &config, &mut |_| {}).unwrap();
+    assert_eq!(report.frames, 3);
+    for stream in ["joints", "gaze"] {
+        assert_eq!(report.warnings.iter().filter(|w| w.contains(stream)).count(), 1, "{:?}", report.warnings);
+    }
+}
