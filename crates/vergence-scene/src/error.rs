@@ -16,17 +16,29 @@ pub enum Error {
     #[error(transparent)]
     Config(#[from] vergence_config::Error),
     /// A place in a file is wrong.
-    #[error("{}: {place}: {message}", path.display())]
+    #[error("{}: {message}", Named(path, place))]
     Invalid {
         /// Which file.
         path: PathBuf,
-        /// Where in it: a JSON path, `accessors[3]`, a line and column, a byte.
+        /// Where in it: `line:column`, counted from 1; a JSON path, `accessors[3]`; a byte.
         place: String,
         /// What was expected and what was found.
         message: String,
     },
+    /// A file that another one names is not there.
+    #[error("{}: expected a file, found {wanted:?}: {source}", Named(path, place))]
+    Missing {
+        /// Which file names it.
+        path: PathBuf,
+        /// Where in that.
+        place: String,
+        /// The name.
+        wanted: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
     /// Loading would take more than [`crate::Limits`] allow.
-    #[error("{}: {place}: expected at most {allowed} {what}, found {found}", path.display())]
+    #[error("{}: expected at most {allowed} {what}, found {found}", Named(path, place))]
     TooLarge {
         /// Which file.
         path: PathBuf,
@@ -45,5 +57,16 @@ impl Error {
     /// An [`Error::Invalid`].
     pub(crate) fn invalid(path: &Path, place: impl Display, message: impl Display) -> Self {
         Self::Invalid { path: path.to_owned(), place: place.to_string(), message: message.to_string() }
+    }
+}
+
+/// A file and a place in it: `file:line:column`, or `file: accessors[3]`.
+struct Named<'a>(&'a Path, &'a str);
+
+impl Display for Named<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self(path, place) = self;
+        let between = if place.starts_with(|first: char| first.is_ascii_digit()) { ":" } else { ": " };
+        write!(f, "{}{between}{place}", path.display())
     }
 }

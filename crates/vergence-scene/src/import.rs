@@ -148,8 +148,11 @@ impl<'a> Import<'a> {
                 return Err(expected(" outside of it"));
             }
         }
-        let canonical = joined.canonicalize().map_err(|source| {
-            Error::invalid(from, place, format!("expected a file, found {relative:?}: {source}"))
+        let canonical = joined.canonicalize().map_err(|source| Error::Missing {
+            path: from.to_owned(),
+            place: place.to_owned(),
+            wanted: relative.to_owned(),
+            source,
         })?;
         if !canonical.starts_with(&self.root) {
             return Err(expected(" outside of it"));

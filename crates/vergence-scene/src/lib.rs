@@ -23,6 +23,7 @@
 #![forbid(unsafe_code)]
 
 pub mod animation;
+mod bounds;
 mod default_light;
 mod error;
 pub mod gltf;

@@ -66,7 +66,7 @@ impl<'a> Line<'a> {
 
     /// Where the next word starts, as `line:column`, counted from 1.
     pub(crate) fn place(&self) -> String {
-        format!("line {}, column {}", self.number, self.at - self.start + 1)
+        format!("{}:{}", self.number, self.at - self.start + 1)
     }
 
     fn skip_spaces(&mut self) {
@@ -146,7 +146,7 @@ pub(crate) struct WordPlace {
 
 impl std::fmt::Display for WordPlace {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "line {}, column {}", self.line, self.column)
+        write!(f, "{}:{}", self.line, self.column)
     }
 }
 

@@ -42,6 +42,7 @@ pub fn load_with(path: &Path, limits: &Limits, progress: &mut dyn FnMut(Progress
             ));
         }
     };
+    crate::picture::keep_stand_ins_for_colours(&mut scene);
     scene.warnings = import.take_warnings();
     scene.files = import.take_read();
     Ok(scene)

@@ -1,7 +1,7 @@
 //! Materials of OBJ files (MTL): Blinn-Phong with textures.
 //!
 //! Colours are sRGB, as exporters write them. Libraries and textures that are missing, or lie outside of the scene's
-//! folder, are named in a warning: the shape can be drawn without them.
+//! folder, are named in a warning: the shape can be drawn without them, a stand-in for the texture on it.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -182,23 +182,24 @@ fn texture(
         file = rest.to_owned();
     }
     let relative = file.replace('\\', "/");
-    let bytes = match import.read_beside(path, &place, &relative) {
-        Ok(bytes) => bytes,
-        Err(error) => {
-            import.warn(format!("the texture {file:?} is not drawn: {error}"));
-            return Ok(None);
-        }
-    };
     let name = relative.trim_start_matches("./").to_owned();
     let image = match scene.images.iter().position(|image| image.name == name) {
         Some(known) => known,
         None => {
-            let resolved = import.resolve(path, &place, &relative)?;
-            scene.images.push(crate::picture::decode(import, &resolved, "image", &name, &bytes)?);
+            let image = match import.read_beside(path, &place, &relative) {
+                Ok(bytes) => {
+                    let resolved = import.resolve(path, &place, &relative)?;
+                    let image = crate::picture::decode(import, &resolved, "image", &name, &bytes)?;
+                    import.release(bytes);
+                    image
+                }
+                // Also names outside of the folder, which exporters write: nothing is read there.
+                Err(error) => crate::picture::stand_in(import, &name, &error),
+            };
+            scene.images.push(image);
             scene.images.len() - 1
         }
     };
-    import.release(bytes);
     scene.textures.push(Texture { image, sampler });
     let texture = scene.textures.len() - 1;
     // v' = s_v · v + o_v upwards; the model's v runs downwards.

@@ -141,7 +141,7 @@ pub(crate) fn load(import: &mut Import<'_>, path: &Path, bytes: Bytes) -> Result
 }
 
 fn header(path: &Path, bytes: &[u8]) -> Result<Header, Error> {
-    let invalid = |line: usize, message: String| Error::invalid(path, format!("line {line}"), message);
+    let invalid = |line: usize, message: String| Error::invalid(path, format!("{line}:1"), message);
     let (mut at, mut lines) = (0, 0);
     let mut encoding = None;
     let mut elements: Vec<Element> = Vec::new();
@@ -226,7 +226,7 @@ struct Data<'a> {
 impl Data<'_> {
     fn place(&self) -> String {
         match self.encoding {
-            Encoding::Ascii => format!("line {}", self.line),
+            Encoding::Ascii => format!("{}:1", self.line),
             _ => format!("byte {}", self.at),
         }
     }

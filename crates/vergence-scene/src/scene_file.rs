@@ -106,7 +106,7 @@ impl Builder<'_, '_> {
         let before = self.text.get(..at.span().start).unwrap_or_default();
         let line = before.matches('\n').count() + 1;
         let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
-        format!("line {line}, column {column}")
+        format!("{line}:{column}")
     }
 
     fn start(&mut self, raw: &raw::SceneFile) -> Result<(), Error> {
@@ -370,10 +370,16 @@ impl Builder<'_, '_> {
             Some(&known) => known,
             None => {
                 let place = self.place(file);
-                let resolved = self.import.resolve(self.path, &place, name)?;
-                let bytes = self.import.read_beside(self.path, &place, name)?;
-                let image = crate::picture::decode(self.import, &resolved, "image", name, &bytes)?;
-                self.import.release(bytes);
+                let image = match self.import.resolve(self.path, &place, name) {
+                    Err(error @ Error::Missing { .. }) => crate::picture::stand_in(self.import, name, &error),
+                    resolved => {
+                        let resolved = resolved?;
+                        let bytes = self.import.read_beside(self.path, &place, name)?;
+                        let image = crate::picture::decode(self.import, &resolved, "image", name, &bytes)?;
+                        self.import.release(bytes);
+                        image
+                    }
+                };
                 self.scene.images.push(image);
                 self.images.insert(name.clone(), self.scene.images.len() - 1);
                 self.scene.images.len() - 1

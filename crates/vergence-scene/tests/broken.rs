@@ -224,7 +224,7 @@ fn check_error(error: &Error, folder: &Path) {
             assert!(!place.is_empty() && !message.is_empty(), "an error without a place: {text}");
         }
         Error::TooLarge { place, .. } => assert!(!place.is_empty(), "an error without a place: {text}"),
-        Error::Config(_) | Error::Io { .. } => {}
+        Error::Config(_) | Error::Missing { .. } | Error::Io { .. } => {}
     }
 }
 

@@ -49,7 +49,7 @@ struct Session {
     device: Arc<gpu::Device>,
     touching: Option<Touching>,
     is_simulated: bool,
-    world_from_start: Rigid,
+    start: place::Start,
     /// Walked by thumbstick, world coordinates.
     walked: nalgebra::Vector3<f64>,
     /// `None` until the floor is known, and after the origin has moved.
@@ -225,7 +225,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
         client,
         device,
         is_simulated: chosen.is_simulated,
-        world_from_start: place::start_of(&run.scene),
+        start: run.start.clone(),
         walked: nalgebra::Vector3::zeros(),
         world_from_local: None,
         recentring: None,
@@ -577,9 +577,15 @@ fn follow_user(
         Some(placed) => placed,
         None => {
             let located = session.client.local_from_floor(display)?;
-            let world_from_local = |floor: &Rigid| place::world_from_local(&session.world_from_start, floor);
+            let located = located.filter(|_| session.start.is_floor);
+            let world_from_local =
+                |floor: &Rigid| place::world_from_local(&session.start.world_from_start, floor);
             // An assumed floor serves this frame only: the next one may know the real one.
             session.world_from_local = located.as_ref().map(world_from_local);
+            if !session.start.is_floor {
+                // What is before the eyes is so for tall people, too.
+                session.world_from_local = Some(world_from_local(&place::assumed_floor()));
+            }
             session.world_from_local.unwrap_or_else(|| world_from_local(&place::assumed_floor()))
         }
     };

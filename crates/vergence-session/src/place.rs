@@ -1,45 +1,112 @@
 //! Where the user stands in the scene.
 
-use nalgebra::{UnitQuaternion, Vector3};
-use vergence_geom::Rigid;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use vergence_geom::{Ray, Rigid};
 use vergence_scene::Scene;
 use vergence_scene::model::WorldTransforms;
+use vergence_scene::pick::Picker;
 
 /// Height of the eyes over the floor for whom a scene without a start is arranged, and where the floor is not known,
 /// metres.
 const EYE_HEIGHT_M: f64 = 1.6;
-/// A scene this high or higher is something to stand in; a lower one is put before the eyes.
-const ROOM_HEIGHT_M: f64 = 2.2;
+/// Heights of what can be a room to stand in, metres.
+const ROOM_HEIGHT_M: std::ops::RangeInclusive<f64> = 2.2..=30.0;
+/// Heights of what stands on the user's floor; lower things are put before the eyes, higher ones are seen from afar.
+const STANDING_HEIGHT_M: std::ops::RangeInclusive<f64> = 1.2..=30.0;
 /// How far inside of a room, as a part of its depth.
 const INSIDE: f64 = 0.15;
-/// Nearest and farthest distance from the front of the scene, metres.
-const DISTANCE_M: (f64, f64) = (0.6, 3.0);
+/// From the middle of a thing to the eyes, in radii of the ball around it: it then fills 54° of the view.
+const DISTANCE_RADII: f64 = 2.2;
+/// Nearest distance from a thing, metres: that of distinct vision, at which two eyes still see one picture in comfort.
+const NEAREST_M: f64 = 0.25;
+/// How far the eyes are over the middle of a thing, as a part of the distance: it is looked at a little from above.
+const ABOVE: f64 = 0.2;
+
+/// Where the user starts.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Start {
+    /// The user's floor origin in world coordinates (y up, −z ahead).
+    pub(crate) world_from_start: Rigid,
+    /// Whether that floor is the one the user stands on; else the eyes shall be [`EYE_HEIGHT_M`] over it, however tall
+    /// the user is.
+    pub(crate) is_floor: bool,
+    /// What was chosen where the scene does not say it, for people.
+    pub(crate) chosen: Option<String>,
+}
 
 /// The user's floor origin in world coordinates (y up, −z ahead): the scene's own start; else where its first camera puts
-/// the eyes, upright; else, where the scene is as high as a room, inside of it, near its front (+z) and on its lowest
-/// point; else in front of it, so that its middle is before the eyes.
+/// the eyes, upright; else inside of it, near its front (+z), where it is a room; else in front of it, at a distance at
+/// which it fills a good part of the view and two eyes see it in comfort. Nothing is scaled: what is tiny stays tiny.
 pub fn start_of(scene: &Scene) -> Rigid {
+    start(scene).world_from_start
+}
+
+/// As [`start_of`], with how it was chosen. O(vertices).
+pub(crate) fn start(scene: &Scene) -> Start {
     if let Some(world_from_start) = scene.world_from_start {
-        return world_from_start;
+        return Start { world_from_start, is_floor: true, chosen: None };
     }
     if let Some(world_from_start) = below_camera(scene) {
-        return world_from_start;
+        return Start {
+            world_from_start,
+            is_floor: false,
+            chosen: Some("starts at the file's camera".into()),
+        };
     }
-    let bounds = scene.bounds();
+    let bounds = scene.posed_bounds();
     if bounds.is_empty() {
-        return Rigid::identity();
+        return Start { world_from_start: Rigid::identity(), is_floor: true, chosen: None };
     }
-    let centre = bounds.centre();
-    let size = bounds.max - bounds.min;
-    let (floor_m, ahead_m) = if size.y >= ROOM_HEIGHT_M {
-        (bounds.min.y, -INSIDE * size.z)
-    } else {
-        (centre.y - (EYE_HEIGHT_M - 0.2), size.x.max(size.y).clamp(DISTANCE_M.0, DISTANCE_M.1))
+    let (centre, size) = (bounds.centre(), bounds.max - bounds.min);
+    let at = |x, y, z| Rigid::from_parts(nalgebra::Translation3::new(x, y, z), UnitQuaternion::identity());
+    let inside = at(centre.x, bounds.min.y, bounds.max.z - INSIDE * size.z);
+    let shown = format!("{} × {} × {}", metres(size.x), metres(size.y), metres(size.z));
+    if ROOM_HEIGHT_M.contains(&size.y) && is_room(scene, &inside) {
+        let chosen = Some(format!("starts inside of the scene ({shown}): the file names no start"));
+        return Start { world_from_start: inside, is_floor: true, chosen };
+    }
+    let radius_m = 0.5 * size.norm();
+    let from_front_m = (DISTANCE_RADII * radius_m - 0.5 * size.z).max(NEAREST_M);
+    let distance_m = from_front_m + 0.5 * size.z;
+    let stands = STANDING_HEIGHT_M.contains(&size.y);
+    let floor_m = if stands { bounds.min.y } else { centre.y + ABOVE * distance_m - EYE_HEIGHT_M };
+    let angle = 2.0 * (radius_m / distance_m).min(1.0).asin().to_degrees();
+    let tiny = if angle < 10.0 { "; `scale` in a scene file makes it larger" } else { "" };
+    let chosen = Some(format!(
+        "starts {} in front of the scene ({shown}), which fills {angle:.0}° of the view: the file names no start{tiny}",
+        metres(from_front_m)
+    ));
+    Start { world_from_start: at(centre.x, floor_m, bounds.max.z + from_front_m), is_floor: stands, chosen }
+}
+
+/// Whether there is a floor to stand on and walls on most sides, none of them in the face.
+fn is_room(scene: &Scene, world_from_start: &Rigid) -> bool {
+    const SIDES: usize = 12;
+    const NEAREST_WALL_M: f64 = 0.3;
+    let (picker, world) = (Picker::new(scene), WorldTransforms::at_rest(scene));
+    let origin = world_from_start * Point3::new(0.0, EYE_HEIGHT_M, 0.0);
+    let reach_m = scene.bounds().diagonal_m();
+    let distance_m = |direction: Vector3<f64>| {
+        let ray = Ray { origin, direction: nalgebra::Unit::new_normalize(direction) };
+        picker.pick(scene, &world, &ray, reach_m).map(|hit| hit.distance_m)
     };
-    Rigid::from_parts(
-        nalgebra::Translation3::new(centre.x, floor_m, bounds.max.z + ahead_m),
-        UnitQuaternion::identity(),
-    )
+    let has_floor = distance_m(-Vector3::y()).is_some_and(|down_m| down_m > 0.5 * EYE_HEIGHT_M);
+    let walls = (0..SIDES).filter_map(|side| {
+        let angle = side as f64 / SIDES as f64 * std::f64::consts::TAU;
+        distance_m(Vector3::new(angle.sin(), 0.0, angle.cos()))
+    });
+    let walls: Vec<f64> = walls.collect();
+    has_floor && 2 * walls.len() > SIDES && walls.iter().all(|wall_m| *wall_m > NEAREST_WALL_M)
+}
+
+/// A length as people say it.
+fn metres(length_m: f64) -> String {
+    match length_m {
+        l if l < 0.01 => format!("{:.1} mm", l * 1e3),
+        l if l < 1.0 => format!("{:.0} cm", l * 1e2),
+        l if l < 1e4 => format!("{l:.1} m"),
+        l => format!("{:.0} km", l * 1e-3),
+    }
 }
 
 /// The floor in LOCAL while the runtime knows none: LOCAL's origin is where the eyes were at first.
@@ -92,15 +159,37 @@ mod tests {
         }
     }
 
+    /// Angle that the ball around the scene fills, and the nearest distance from it.
+    fn seen(scene: &Scene) -> (f64, f64) {
+        let eyes = start_of(scene) * Point3::new(0.0, EYE_HEIGHT_M, 0.0);
+        let bounds = scene.posed_bounds();
+        let angle = 2.0 * (0.5 * bounds.diagonal_m() / (eyes - bounds.centre()).norm()).asin();
+        (angle.to_degrees(), eyes.z - bounds.max.z)
+    }
+
     #[test]
-    fn a_scene_without_a_start_is_before_the_user() {
-        let thing = start_of(&boxed([9.5, -0.5, -0.5], [10.5, 0.5, 0.5]));
-        assert_eq!((thing.translation.x, thing.translation.z), (10.0, 1.5));
-        let eyes_above_middle_m = thing.translation.y + EYE_HEIGHT_M;
-        assert!((0.0..0.5).contains(&eyes_above_middle_m), "{eyes_above_middle_m}");
-        let room = start_of(&boxed([-20.0, -1.0, -20.0], [20.0, 9.0, 20.0]));
-        assert_eq!((room.translation.y, room.translation.z), (-1.0, 14.0));
+    fn a_scene_without_a_start_is_before_the_user_whatever_its_size() {
+        for size in [0.05f32, 0.3, 1.0, 3.0, 80.0, 550.0, 1e6] {
+            let half = 0.5 * size;
+            let scene = boxed([10.0 - half, -half, -half], [10.0 + half, half, half]);
+            let (angle_deg, from_front_m) = seen(&scene);
+            assert!((if size < 0.1 { 15.0 } else { 40.0 }..60.0).contains(&angle_deg), "{size}: {angle_deg}");
+            assert!(from_front_m >= NEAREST_M - 1e-9, "{size}: {from_front_m}");
+            assert!((start_of(&scene).translation.x - 10.0).abs() < 1e-6);
+        }
+        // Tiny things stay tiny, and that is said.
+        let tiny = start(&boxed([0.0; 3], [0.007; 3]));
+        assert!(tiny.chosen.as_ref().is_some_and(|chosen| chosen.contains("7.0 mm")), "{tiny:?}");
         assert_eq!(start_of(&Scene::default()), Rigid::identity());
+    }
+
+    #[test]
+    fn what_stands_is_put_on_the_floor() {
+        let person = start(&boxed([-0.3, 0.1, -0.2], [0.3, 1.9, 0.2]));
+        assert!((person.world_from_start.translation.y - 0.1).abs() < 1e-6 && person.is_floor);
+        // A solid thing as high as a room is none.
+        let house = start(&boxed([-4.0, 0.0, -4.0], [4.0, 8.0, 4.0]));
+        assert!(house.world_from_start.translation.z > 4.0, "{house:?}");
     }
 
     #[test]

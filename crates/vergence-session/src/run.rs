@@ -15,6 +15,7 @@ use crate::desk::Desk;
 use crate::error::Error;
 use crate::frame_loop::{self, End};
 use crate::headset;
+use crate::place;
 use crate::pose_log::PoseLog;
 use crate::report::{RecordReport, RunReport};
 use crate::tally::Tally;
@@ -43,6 +44,7 @@ pub enum Happening<'a> {
 pub(crate) struct Run<'a> {
     pub(crate) scene: Arc<Scene>,
     pub(crate) plan: Plan,
+    pub(crate) start: place::Start,
     pub(crate) config: RunConfig,
     pub(crate) tally: Tally,
     pub(crate) capture: Option<Capture>,
@@ -136,6 +138,7 @@ fn whole(
     let mut run = Run {
         scene: Arc::clone(scene),
         plan: Plan::of(scene, &requests),
+        start: place::start(scene),
         config: config.clone(),
         tally: Tally::default(),
         capture,
@@ -245,6 +248,9 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
         run.report.api = description.api.clone();
         let sentence = format!("{} ({})", run.report.headset, chosen.why);
         run.say(&sentence);
+        if let Some(chosen) = run.start.chosen.clone() {
+            run.say(&chosen);
+        }
     }
     frame_loop::play(run, &chosen)
 }

@@ -58,7 +58,7 @@ impl Framing {
     /// The peer's benchmark (bench.html): for the colonnade from one end down its length, else from where all of
     /// the scene is seen; eyes ±32 mm, 60°.
     pub fn bench(scene: &Scene, path: &Path) -> Self {
-        let bounds = skinned_bounds(scene);
+        let bounds = scene.posed_bounds();
         let is_colonnade = path.to_string_lossy().contains("colonnade");
         let world_from_head = if is_colonnade {
             look_at(&Point3::new(-10.5, 1.7, 0.0), &Point3::new(0.0, 1.7, 0.0))
@@ -120,34 +120,6 @@ fn near(bounds: &Bounds) -> f64 {
 fn overview(bounds: &Bounds) -> Isometry3<f64> {
     let centre = bounds.centre();
     look_at(&(centre + Vector3::from(OVERVIEW) * bounds.diagonal_m().max(1e-3)), &centre)
-}
-
-/// The box around all vertices at rest, skinned ones where their joints put them.
-fn skinned_bounds(scene: &Scene) -> Bounds {
-    let world = WorldTransforms::at_rest(scene);
-    let mut bounds = Bounds::EMPTY;
-    for (node, world_from_node) in scene.nodes.iter().zip(&world.world_from_node) {
-        let Some(mesh) = node.mesh else { continue };
-        for primitive in &scene.meshes[mesh].primitives {
-            let skin = node.skin.filter(|_| !primitive.joints.is_empty()).map(|skin| &scene.skins[skin]);
-            for (index, position) in primitive.positions.iter().enumerate() {
-                let position = Point3::from(Vector3::from(*position).cast::<f64>());
-                let Some(skin) = skin else {
-                    bounds.add(&world_from_node.transform_point(&position));
-                    continue;
-                };
-                let mut placed = Vector3::zeros();
-                for (&joint, weight) in primitive.joints[index].iter().zip(primitive.weights[index]) {
-                    let joint = usize::from(joint);
-                    let world_from_mesh =
-                        world.world_from_node[skin.joints[joint]] * skin.joint_from_mesh[joint];
-                    placed += world_from_mesh.transform_point(&position).coords * f64::from(weight);
-                }
-                bounds.add(&Point3::from(placed));
-            }
-        }
-    }
-    bounds
 }
 
 /// Parses "X,Y,Z".

@@ -272,9 +272,14 @@ fn image(import: &mut Import<'_>, accessors: &Accessors<'_>, index: usize) -> Re
     let path = accessors.path;
     match (&raw.uri, raw.buffer_view) {
         (Some(uri), _) => {
-            let bytes = super::container::fetch(import, path, &format!("{place}.uri"), uri)?;
             let is_data = uri.starts_with("data:");
             let name = if raw.name.is_empty() && !is_data { uri } else { &raw.name };
+            let bytes = match super::container::fetch(import, path, &format!("{place}.uri"), uri) {
+                Err(error @ Error::Missing { .. }) => {
+                    return Ok(crate::picture::stand_in(import, name, &error));
+                }
+                fetched => fetched?,
+            };
             let file = (!is_data).then(|| path.parent().unwrap_or(Path::new("")).join(uri));
             let decoded =
                 crate::picture::decode(import, file.as_deref().unwrap_or(path), &place, name, &bytes)?;

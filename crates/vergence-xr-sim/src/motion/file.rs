@@ -292,7 +292,7 @@ mod tests {
             assert!(error.to_string().contains(said), "{error}");
         }
         let unknown = Motion::open("nowhere.toml").unwrap_err().to_string();
-        assert!(unknown.contains("room1.toml, look-around.toml"), "{unknown}");
+        assert!(unknown.contains("one of still, room1, look-around"), "{unknown}");
     }
 
     #[test]
