@@ -66,7 +66,8 @@ impl<'a> Line<'a> {
 
     /// Where the next word starts, as `line:column`, counted from 1.
     pub(crate) fn place(&self) -> String {
-        format!("{}:{}", self.number, self.at - self.start + 1)
+        let spaces = self.bytes[self.at..].iter().take_while(|&&b| b == b' ' || b == b'\t').count();
+        format!("{}:{}", self.number, self.at + spaces - self.start + 1)
     }
 
     fn skip_spaces(&mut self) {
