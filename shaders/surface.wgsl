@@ -1,8 +1,8 @@
 // Surfaces: every mesh of a scene, lit and textured, for all views in one pass.
 //
 // Lines between `//#if FLAG` and `//#endif` exist only in variants that set FLAG (vergence-shaders' build script):
-// inputs, bindings and texture fetches that a surface does not need are not there at all. With every line kept,
-// the file is plain WGSL.
+// inputs, bindings and texture fetches that a surface does not need are not there at all. `//#include` stands for the
+// other file.
 //
 // Frames: `part` = the part of a mesh that is drawn (origin at its own centre), `eye` = one view, `head` = the
 // first view's frame, shared by all views, where shading happens. All matrices were composed in f64 relative to
@@ -10,7 +10,6 @@
 
 // Set when a pipeline is made (see vergence-shaders): loops over them have a constant length. Lights at infinity come
 // first.
-const VIEW_COUNT: u32 = 0xF1E50001u;
 const LIGHT_COUNT: u32 = 0xF1E50002u;
 const INFINITE_LIGHT_COUNT: u32 = 0xF1E50003u;
 
@@ -23,16 +22,10 @@ const LOBE_MARGIN: f32 = 3e-3;
 // Grazing views are shaded as if seen under this cosine.
 const LEAST_COSINE: f32 = 1e-4;
 
-struct View {
-    // Scale and offset of the projection: clip.x = x·clip.x + z·clip.y, clip.y = y·clip.z + z·clip.w.
-    clip: vec4f,
-    // Where the eye is in head coordinates, metres; w: near plane, metres.
-    eye_in_head: vec4f,
-    // The direction through pixel coordinates (0, 0), of depth 1, and its change per pixel, in head coordinates.
-    ray: vec4f,
-    ray_per_x: vec4f,
-    ray_per_y: vec4f,
-}
+//#include view.wgsl
+//#if VERTEX
+//#include place.wgsl
+//#endif
 
 struct Light {
     // xyz·: position in head coordinates (w = 1), or direction towards a light at infinity (w = 0), unit.
@@ -67,16 +60,12 @@ struct Material {
     uv_offsets: array<vec4f, 3>,
 }
 
-// Where a part stands: three rows of head_from_part for normals (first w: sign of the determinant), then for each
-// view three rows of eye_from_part.
-struct Place {
-    rows: array<vec4f, 15>,
-}
-
 // Place and material are windows that move with the draw, and the frame's with the pass, so that every address in the shader is a constant: a
 // software device loads such a value once for all lanes.
 @group(0) @binding(0) var<uniform> frame: Frame;
+//#if VERTEX
 @group(0) @binding(1) var<uniform> place: Place;
+//#endif
 @group(0) @binding(2) var<uniform> material: Material;
 
 //#if BASE_COLOR_TEXTURE
@@ -136,33 +125,23 @@ struct Varying {
 //#if VERTEX_COLORS
     @location(5) color: vec4f,
 //#endif
+//#if HANDED_ON
+    // Where the point is, in head coordinates; the eye is at their origin.
+    @location(6) in_head: vec3f,
+    @location(7) @interpolate(flat) base_color: vec4f,
+    @location(8) @interpolate(flat) emissive: vec4f,
+    @location(9) @interpolate(flat) law: vec4f,
+    @location(10) @interpolate(flat) ambient: vec4f,
+    @location(11) @interpolate(flat) to_first_light: vec4f,
+    @location(12) @interpolate(flat) first_light_color: vec4f,
+//#endif
 }
 
 //#if VERTEX
 @vertex
 fn vertex(in: Vertex, @builtin(view_index) view_index: u32) -> Varying {
-    // A choice among values that are the same for the whole draw is cheaper than an index that differs by view.
-    const first = 3u;
-    var x = place.rows[first];
-    var y = place.rows[first + 1u];
-    var z = place.rows[first + 2u];
-    var clip = frame.views[0].clip;
-    for (var v = 1u; v < VIEW_COUNT; v++) {
-        let here = v == view_index;
-        x = select(x, place.rows[first + 3u * v], here);
-        y = select(y, place.rows[first + 3u * v + 1u], here);
-        z = select(z, place.rows[first + 3u * v + 2u], here);
-        clip = select(clip, frame.views[v].clip, here);
-    }
-    let p = vec3f(
-        dot(x.xyz, in.position) + x.w,
-        dot(y.xyz, in.position) + y.w,
-        dot(z.xyz, in.position) + z.w,
-    );
     var out: Varying;
-    // Reversed depth without a far plane: 1 at the near plane, 0 at infinity.
-    let near = frame.views[0].eye_in_head.w;
-    out.position = vec4f(p.x * clip.x + p.z * clip.y, p.y * clip.z + p.z * clip.w, near, -p.z);
+    out.position = clip_position(in.position, view_index);
 //#if LIT
     let nx = place.rows[0];
     let ny = place.rows[1];
@@ -171,9 +150,9 @@ fn vertex(in: Vertex, @builtin(view_index) view_index: u32) -> Varying {
 //#endif
 //#if NORMAL_TEXTURE
     // Tangents go with the surface. The rows above are those of the first view, which is the head.
-    let tx = place.rows[first].xyz;
-    let ty = place.rows[first + 1u].xyz;
-    let tz = place.rows[first + 2u].xyz;
+    let tx = place.rows[FIRST_VIEW_ROW].xyz;
+    let ty = place.rows[FIRST_VIEW_ROW + 1u].xyz;
+    let tz = place.rows[FIRST_VIEW_ROW + 2u].xyz;
     let t = vec3f(dot(tx, in.tangent.xyz), dot(ty, in.tangent.xyz), dot(tz, in.tangent.xyz));
     // Unit length for both: the bitangent is their cross product.
     out.tangent = vec4f(t * inverseSqrt(max(dot(t, t), 1e-30)), in.tangent.w * nx.w);
@@ -187,6 +166,17 @@ fn vertex(in: Vertex, @builtin(view_index) view_index: u32) -> Varying {
 //#endif
 //#if VERTEX_COLORS
     out.color = in.color;
+//#endif
+//#if HANDED_ON
+    // What is the same for the whole draw is read here, a few times per triangle: a software device reads a uniform value
+    // lane by lane, which costs the fragment stage as much as all of its arithmetic. For passes of one view.
+    out.in_head = point_in_head(in.position);
+    out.base_color = material.base_color;
+    out.emissive = material.emissive;
+    out.law = material.law;
+    out.ambient = frame.ambient;
+    out.to_first_light = frame.lights[0].position;
+    out.first_light_color = frame.lights[0].color;
 //#endif
     return out;
 }
@@ -278,7 +268,18 @@ fn fragment(
     let uv_occlusion = in.uv;
     let uv_emissive = in.uv;
 //#endif
+//#if HANDED_ON
+    var base = in.base_color;
+    let material_emissive = in.emissive;
+    let law = in.law;
+    let everywhere_light = in.ambient.rgb;
+//#endif
+//#if LOOKED_UP
     var base = material.base_color;
+    let material_emissive = material.emissive;
+    let law = material.law;
+    let everywhere_light = frame.ambient.rgb;
+//#endif
 //#if BASE_COLOR_TEXTURE
     base *= textureSample(base_color_texture, base_color_sampler, uv_base_color);
 //#endif
@@ -299,7 +300,7 @@ fn fragment(
     let glow = textureSample(emissive_texture, emissive_sampler, uv_emissive).rgb;
 //#endif
 //#if MASK
-    if (base.a < material.law.w) {
+    if (base.a < law.w) {
         discard;
     }
 //#endif
@@ -307,6 +308,11 @@ fn fragment(
     var color = base.rgb;
 //#endif
 //#if LIT
+//#if HANDED_ON
+    let p = in.in_head;
+    let to_eye = -unit(p);
+//#endif
+//#if LOOKED_UP
     var eye = frame.views[0].eye_in_head.xyz;
     var ray = frame.views[0].ray.xyz;
     var ray_per_x = frame.views[0].ray_per_x.xyz;
@@ -322,6 +328,7 @@ fn fragment(
     let along = ray + in.position.x * ray_per_x + in.position.y * ray_per_y;
     let p = eye + along * (1.0 / in.position.w);
     let to_eye = -unit(along);
+//#endif
 //#if NORMAL_TEXTURE
     bump = vec3f(bump.xy * material.more.x, bump.z);
     let bitangent = cross(in.normal, in.tangent.xyz) * in.tangent.w;
@@ -332,7 +339,6 @@ fn fragment(
 //#endif
     normal = select(-normal, normal, front_facing);
     let nv = max(dot(normal, to_eye), LEAST_COSINE);
-    let law = material.law;
 //#if METALLIC_ROUGHNESS
     var metallic = law.x;
     var roughness = law.y;
@@ -364,9 +370,9 @@ fn fragment(
     let lobe = law.xyz * material.more.z;
 //#endif
 //#if OCCLUSION_TEXTURE
-    ambient *= 1.0 + material.emissive.w * (open - 1.0);
+    ambient *= 1.0 + material_emissive.w * (open - 1.0);
 //#endif
-    var color = frame.ambient.rgb * ambient;
+    var color = everywhere_light * ambient;
     let seen = Seen(
         normal,
         to_eye,
@@ -385,9 +391,20 @@ fn fragment(
 //#endif
     );
     for (var i = 0u; i < INFINITE_LIGHT_COUNT; i++) {
+//#if HANDED_ON
+        var to_light = in.to_first_light.xyz;
+        var light_color = in.first_light_color.rgb;
+        if (i > 0u) {
+            to_light = frame.lights[i].position.xyz;
+            light_color = frame.lights[i].color.rgb;
+        }
+//#endif
+//#if LOOKED_UP
         let to_light = frame.lights[i].position.xyz;
+        let light_color = frame.lights[i].color.rgb;
+//#endif
         let nl = clamp(dot(normal, to_light), 0.0, 1.0);
-        color += reflected(seen, to_light, nl) * frame.lights[i].color.rgb * nl;
+        color += reflected(seen, to_light, nl) * light_color * nl;
     }
     for (var i = INFINITE_LIGHT_COUNT; i < LIGHT_COUNT; i++) {
         // One formula for points and spots: without a cone its factor is 1, without a range the window's.
@@ -405,10 +422,10 @@ fn fragment(
         color += reflected(seen, to_light, nl) * light_color.rgb * fades;
     }
 //#if EMISSIVE_TEXTURE
-    color += material.emissive.rgb * glow;
+    color += material_emissive.rgb * glow;
 //#endif
 //#if EMISSIVE_FACTOR
-    color += material.emissive.rgb;
+    color += material_emissive.rgb;
 //#endif
     // A mirror of the sun is bright but finite.
     color = min(color, vec3f(65504.0));

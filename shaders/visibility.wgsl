@@ -2,13 +2,7 @@
 //
 // Each vertex belongs to one view; in the others its triangle has no area.
 
-struct View {
-    clip: vec4f,
-    eye_in_head: vec4f,
-    ray: vec4f,
-    ray_per_x: vec4f,
-    ray_per_y: vec4f,
-}
+//#include view.wgsl
 
 struct Views {
     views: array<View, 4>,

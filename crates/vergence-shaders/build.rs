@@ -19,14 +19,25 @@ fn main() {
     files.sort();
     let mut blob = Blob::default();
     let mut generated = String::new();
-    for file in files {
-        let text =
-            std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    let read = |file: &Path| {
+        std::fs::read_to_string(file).unwrap_or_else(|error| panic!("{}: {error}", file.display()))
+    };
+    let texts: Vec<(&Path, String)> = files.iter().map(|file| (file.as_path(), read(file))).collect();
+    let included: Vec<_> = texts.iter().flat_map(|(_, text)| text.lines().filter_map(include)).collect();
+    for (file, text) in &texts {
+        // What others include has no entry point of its own.
+        if file.file_name().and_then(|name| name.to_str()).is_some_and(|name| included.contains(&name)) {
+            continue;
+        }
+        let text = &text
+            .lines()
+            .map(|line| include(line).map_or(line.to_owned(), |other| read(&shaders.join(other))) + "\n")
+            .collect::<String>();
         let name = file.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default().to_owned();
         if name == "surface" {
-            surfaces(&file, &text, &mut blob, &mut generated);
+            surfaces(file, text, &mut blob, &mut generated);
         } else {
-            for (entry, words) in compile(&file, &text, None) {
+            for (entry, words) in compile(file, text, None) {
                 let (start, end) = blob.add(&words);
                 let constant = format!("{name}_{entry}").to_uppercase();
                 writeln!(
@@ -42,6 +53,11 @@ fn main() {
     let out = std::env::var_os("OUT_DIR").map(std::path::PathBuf::from).expect("cargo sets OUT_DIR");
     std::fs::write(out.join("shaders.spv"), bytes).expect("OUT_DIR is writable");
     std::fs::write(out.join("shaders.rs"), generated).expect("OUT_DIR is writable");
+}
+
+/// The file that a line stands for: `//#include FILE`.
+fn include(line: &str) -> Option<&str> {
+    line.trim().strip_prefix("//#include ").map(str::trim)
 }
 
 /// SPIR-V modules one after the other, equal ones once.
@@ -112,7 +128,7 @@ fn keep(file: &Path, text: &str, flags: &[&str]) -> String {
         } else if open.iter().all(|&open| open) {
             kept.push_str(line);
         }
-        // Line numbers stay those of the file.
+        // Line numbers stay those of the file with what it includes.
         kept.push('\n');
     }
     assert!(open.is_empty(), "{}: #if without #endif", file.display());

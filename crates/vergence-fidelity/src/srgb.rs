@@ -1,3 +1,6 @@
+//! The sRGB transfer functions of the judge: its own, so that it shares nothing with the renderer that it judges (whose is
+//! `vergence_scene::linear_from_srgb`).
+
 /// Linear light of an sRGB-encoded value, both 0…1 (IEC 61966-2-1).
 pub fn linear_from_encoded(encoded: f32) -> f32 {
     if encoded <= 0.04045 { encoded / 12.92 } else { ((encoded + 0.055) / 1.055).powf(2.4) }

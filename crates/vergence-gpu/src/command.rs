@@ -260,8 +260,16 @@ impl CommandBuffer {
 
 impl Drop for CommandBuffer {
     fn drop(&mut self) {
-        if let Err(error) = self.wait() {
-            log::error!("{}: {error}", self.name);
+        match self.wait() {
+            Ok(()) | Err(Error::DeviceLost { .. }) => {}
+            // The device may still be at it: what it uses is left to it for good rather than destroyed under its hands.
+            Err(error) => {
+                log::error!("{}: {error}; its memory is not given back", self.name);
+                std::mem::forget(std::mem::take(&mut self.kept));
+                std::mem::forget(std::mem::take(&mut self.timelines));
+                std::mem::forget(Arc::clone(&self.device));
+                return;
+            }
         }
         if let Some(timer) = &self.timer {
             // SAFETY: the last submission is complete (or the device is lost, which allows destruction).

@@ -19,18 +19,13 @@ use crate::select;
 pub(crate) const PATIENCE_NS: u64 = 60_000_000_000;
 
 /// What a device shall be able to do beyond what every device must.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub struct DeviceDesc {
     /// Presentation to a window (the instance must have been made with a display; default: off).
     pub present: bool,
-    /// Shader accesses outside of a buffer give zero instead of undefined behaviour (default: on; costs a few percent on some GPUs).
+    /// Shader accesses outside of a buffer give zero instead of undefined behaviour (default: off, since every index in our
+    /// shaders is a constant or checked before upload; for other shaders; costs a few percent on some GPUs).
     pub robust: bool,
-}
-
-impl Default for DeviceDesc {
-    fn default() -> Self {
-        Self { present: false, robust: true }
-    }
 }
 
 /// Handles that somebody else owns, for [`Device::adopt`].
@@ -108,26 +103,13 @@ impl Device {
         };
         let physical = candidate.physical;
 
-        let mut has11 = vk::PhysicalDeviceVulkan11Features::default();
-        let mut has = vk::PhysicalDeviceFeatures2::default().push_next(&mut has11);
-        // SAFETY: the physical device is of this instance and has Vulkan 1.3.
-        unsafe { instance.raw.get_physical_device_features2(physical, &mut has) };
-        let core = has.features;
+        // SAFETY: the physical device is of this instance.
+        let has = unsafe { instance.raw.get_physical_device_features(physical) };
+        // What a pipeline, a sampler or a shader of ours uses, and nothing else: a feature is added with its first user.
         let features = vk::PhysicalDeviceFeatures::default()
-            .robust_buffer_access(desc.robust && core.robust_buffer_access == vk::TRUE)
-            .sampler_anisotropy(core.sampler_anisotropy == vk::TRUE)
-            .independent_blend(core.independent_blend == vk::TRUE)
-            .draw_indirect_first_instance(core.draw_indirect_first_instance == vk::TRUE)
-            .multi_draw_indirect(core.multi_draw_indirect == vk::TRUE)
-            .fragment_stores_and_atomics(core.fragment_stores_and_atomics == vk::TRUE)
-            .vertex_pipeline_stores_and_atomics(core.vertex_pipeline_stores_and_atomics == vk::TRUE)
-            .full_draw_index_uint32(core.full_draw_index_uint32 == vk::TRUE)
-            .shader_clip_distance(core.shader_clip_distance == vk::TRUE)
-            .sample_rate_shading(core.sample_rate_shading == vk::TRUE)
-            .texture_compression_bc(core.texture_compression_bc == vk::TRUE);
-        let mut f11 = vk::PhysicalDeviceVulkan11Features::default()
-            .multiview(true)
-            .shader_draw_parameters(has11.shader_draw_parameters == vk::TRUE);
+            .robust_buffer_access(desc.robust && has.robust_buffer_access == vk::TRUE)
+            .sampler_anisotropy(has.sampler_anisotropy == vk::TRUE);
+        let mut f11 = vk::PhysicalDeviceVulkan11Features::default().multiview(true);
         let mut f12 =
             vk::PhysicalDeviceVulkan12Features::default().timeline_semaphore(true).host_query_reset(true);
         let mut f13 = vk::PhysicalDeviceVulkan13Features::default()
@@ -304,6 +286,12 @@ impl Device {
     }
 
     /// Locks the queue, for work that is not a submission of this crate (a foreign library that submits by itself).
+    ///
+    /// An OpenXR runtime is one: while it is in xrBeginFrame, xrEndFrame, xrAcquireSwapchainImage or xrReleaseSwapchainImage
+    /// (and where sessions and swapchains are made and destroyed) nobody else may use the queue (XR_KHR_vulkan_enable2).
+    /// Whoever submits from the thread of the frame loop only, as `vergence-session` does, keeps that rule without a lock;
+    /// another thread that submits must take turns with these calls. The lock is not held over them, since the runtime that
+    /// is linked in adopts the device and takes the same lock for its own submissions.
     pub fn lock_queue(&self) -> QueueGuard<'_> {
         QueueGuard { _guard: self.lock.lock().unwrap_or_else(PoisonError::into_inner) }
     }

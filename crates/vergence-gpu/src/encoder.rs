@@ -371,34 +371,6 @@ impl<'a> Encoder<'a> {
         }
     }
 
-    /// Draws `count` times with arguments (`VkDrawIndexedIndirectCommand`, 20 bytes each) from `offset` (bytes) of a buffer.
-    pub fn draw_indexed_indirect(&mut self, arguments: &Arc<Buffer>, offset: u64, count: u32) {
-        const BYTES: u64 = 20;
-        let fits = arguments.usage().contains(vk::BufferUsageFlags::INDIRECT_BUFFER)
-            && offset.is_multiple_of(4)
-            && offset.checked_add(BYTES * u64::from(count)).is_some_and(|end| end <= arguments.size());
-        let indexed = self.indexed;
-        if !self.can_draw()
-            || !self.ensure(indexed, "an indexed draw without an index buffer")
-            || !self.ensure(fits, "indirect arguments outside of their buffer, or of another usage")
-        {
-            return;
-        }
-        if !self.keep(arguments) {
-            return;
-        }
-        // SAFETY: inside of rendering; the arguments are kept and within their buffer.
-        quick(|| unsafe {
-            self.commands.device.raw.cmd_draw_indexed_indirect(
-                self.commands.raw,
-                arguments.raw,
-                offset,
-                count,
-                BYTES as u32,
-            );
-        });
-    }
-
     /// Runs work groups of the bound compute pipeline.
     pub fn dispatch(&mut self, x: u32, y: u32, z: u32) {
         let bound =

@@ -285,10 +285,15 @@ impl Mirror {
         let (Some(surfaces), Some(functions)) = (&device.instance.surface, &device.swapchain) else {
             return Ok(false);
         };
-        self.clear()?;
         // SAFETY: the surface and the physical device are of one instance; so for the following two.
         let can = unsafe { surfaces.get_physical_device_surface_capabilities(device.physical, self.surface) }
             .map_err(|r| surface_error(r, "vkGetPhysicalDeviceSurfaceCapabilitiesKHR"))?;
+        let (width, height) = extent(&can, self.wanted);
+        // A window without area (one that is put away) is asked again with every picture; nothing is waited for.
+        if width == 0 || height == 0 {
+            return Ok(false);
+        }
+        self.clear()?;
         // SAFETY: as above.
         let formats = unsafe { surfaces.get_physical_device_surface_formats(device.physical, self.surface) }
             .map_err(|r| surface_error(r, "vkGetPhysicalDeviceSurfaceFormatsKHR"))?;
@@ -296,10 +301,6 @@ impl Mirror {
         let modes =
             unsafe { surfaces.get_physical_device_surface_present_modes(device.physical, self.surface) }
                 .map_err(|r| surface_error(r, "vkGetPhysicalDeviceSurfacePresentModesKHR"))?;
-        let (width, height) = extent(&can, self.wanted);
-        if width == 0 || height == 0 {
-            return Ok(false);
-        }
         if !can.supported_usage_flags.contains(vk::ImageUsageFlags::TRANSFER_DST) {
             return Err(Error::Surface { detail: "its images cannot be copied to".into() });
         }

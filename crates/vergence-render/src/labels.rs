@@ -235,7 +235,9 @@ fn pipeline(
             depth: Some(DepthState {
                 format: target.depth_format,
                 compare: DEPTH_COMPARE,
-                write: false,
+                // Ink writes depth (the shader discards the rest of a glyph's quad): a runtime that moves pixels by the
+                // depth layer would move letters like the wall behind them otherwise. They are drawn from far to near.
+                write: true,
                 bias: None,
             }),
             colors: &[(target.color_format, Blend::Alpha)],

@@ -1,6 +1,7 @@
 //! A scene's meshes as flat arrays, ready to be copied to the device once.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::hash::Hash;
 
 use nalgebra::Point3;
 use vergence_scene::model::{Primitive, Scene, TextureRef};
@@ -129,6 +130,7 @@ impl Meshes {
         let mut shared: BTreeMap<(usize, usize), Placed> = BTreeMap::new();
         let mut drawn: Vec<((Layout, bool), Drawable)> = Vec::new();
         let mut jobs: Vec<((Layout, bool), SkinJob)> = Vec::new();
+        let (mut kinds, mut materials, mut texture_sets) = (Known::new(), Known::new(), Known::new());
         for (node_index, node) in scene.nodes.iter().enumerate() {
             let Some(mesh_index) = node.mesh else { continue };
             let mesh = at("meshes", &scene.meshes, mesh_index)?;
@@ -154,9 +156,12 @@ impl Meshes {
                         .entry(key)
                         .or_insert_with(|| meshes.place(primitive, layout, &textures, false, &mut groups))
                 };
-                let kind_index = index_of(&mut meshes.kinds, kind);
-                let material_index = index_of(&mut meshes.materials, pack(material, &textures)) as u32;
-                let texture_set = index_of(&mut meshes.texture_sets, textures);
+                let kind_index = kinds.index_of(&mut meshes.kinds, kind, kind);
+                let packed = pack(material, &textures);
+                let material_key = bytemuck::bytes_of(&packed).to_vec();
+                let material_index = materials.index_of(&mut meshes.materials, material_key, packed) as u32;
+                let texture_key = textures.map(|texture| texture.as_ref().map(texture_key));
+                let texture_set = texture_sets.index_of(&mut meshes.texture_sets, texture_key, textures);
                 for part in &placed.parts {
                     meshes.triangles += u64::from(part.index_count / 3);
                     if let Some(skin) = skin {
@@ -323,13 +328,24 @@ pub(crate) fn at<'a, T>(what: &'static str, table: &'a [T], index: usize) -> Res
     table.get(index).ok_or(Error::Index { what, len: table.len(), found: index })
 }
 
-/// The index of `value`, appended where it is new. Tables are short.
-fn index_of<T: PartialEq>(table: &mut Vec<T>, value: T) -> usize {
-    match table.iter().position(|known| *known == value) {
-        Some(index) => index,
-        None => {
+/// Where the entries of a table stand, by what tells them apart.
+struct Known<K>(HashMap<K, usize>);
+
+impl<K: Eq + Hash> Known<K> {
+    fn new() -> Self {
+        Self(HashMap::new())
+    }
+
+    /// The index of `value` in `table`, appended where it is new.
+    fn index_of<T>(&mut self, table: &mut Vec<T>, key: K, value: T) -> usize {
+        *self.0.entry(key).or_insert_with(|| {
             table.push(value);
             table.len() - 1
-        }
+        })
     }
+}
+
+/// What tells textures and their coordinates apart: floats by their bits.
+fn texture_key(texture: &TextureRef) -> (usize, u8, [[u32; 3]; 2]) {
+    (texture.texture, texture.uv_set, texture.uv_from_uv.map(|row| row.map(f32::to_bits)))
 }

@@ -1,6 +1,8 @@
 //! The levels of a texture: each half as large, averaged in linear light, with the weights of a box that fits
 //! also where a size is odd.
 
+use vergence_scene::linear_from_srgb;
+
 /// All levels of an image (8-bit RGBA, rows from the top), from the full one down to one texel, one after the
 /// other. `srgb`: red, green and blue are sRGB (alpha never is). Each level is the area average of the one before,
 /// kept in single precision on the way and rounded once. O(texels).
@@ -62,11 +64,6 @@ fn transpose(texels: &[[f32; 4]], width: usize, height: usize) -> Vec<[f32; 4]> 
         out.extend((0..height).map(|y| texels[y * width + x]));
     }
     out
-}
-
-/// IEC 61966-2-1.
-pub(crate) fn linear_from_srgb(v: f32) -> f32 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
 /// To the nearest code: for sRGB by the linear values half-way between codes.

@@ -63,6 +63,8 @@ fn make(
     mirrored: bool,
 ) -> Result<Arc<GraphicsPipeline>, Error> {
     let Kind { surface, variant } = kind;
+    let handed_on = variant.lit() && device.limits().software && target.views_per_pass(device) == 1;
+    let variant = vergence_shaders::Variant { handed_on, ..variant };
     let missing = || Error::range("surface", "a variant that makes sense", format!("{variant:?}"));
     let vertex =
         vergence_shaders::surface_vertex(&variant, target.views_per_pass(device)).ok_or_else(missing)?;

@@ -651,7 +651,7 @@ fn frame_set_layout(device: &Arc<Device>) -> Result<Arc<SetLayout>, Error> {
         &[
             BindingDesc::new(0, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, stages),
             BindingDesc::new(1, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, vk::ShaderStageFlags::VERTEX),
-            BindingDesc::new(2, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, vk::ShaderStageFlags::FRAGMENT),
+            BindingDesc::new(2, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, stages),
         ],
     )?)
 }

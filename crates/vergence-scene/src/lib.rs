@@ -45,6 +45,7 @@ pub mod text;
 
 pub use error::Error;
 pub use import::{Limits, Progress};
+pub use lines::linear_from_srgb;
 pub use load::{ENDINGS, load, load_with};
 pub use model::Scene;
 pub use needs::{Coverage, Law, Needs, Surface};

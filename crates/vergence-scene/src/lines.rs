@@ -174,7 +174,7 @@ pub(crate) fn number(import: &mut Import<'_>, word: &[u8]) -> Option<f32> {
 }
 
 /// The sRGB transfer function: a colour value as stored (0…1) to linear light.
-pub(crate) fn linear_from_srgb(value: f32) -> f32 {
+pub fn linear_from_srgb(value: f32) -> f32 {
     let value = value.clamp(0.0, 1.0);
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }

@@ -17,6 +17,7 @@
 //!     emissive_texture: false,
 //!     vertex_colors: false,
 //!     many_uvs: false,
+//!     handed_on: false,
 //! };
 //! let module = vergence_shaders::surface_fragment(&plain, 2, Lights { infinite: 1, placed: 0 }).unwrap();
 //! assert_eq!(module.words()[0], 0x0723_0203);

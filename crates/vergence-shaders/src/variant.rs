@@ -43,6 +43,9 @@ pub struct Variant {
     pub vertex_colors: bool,
     /// Textures use different coordinates: an affine function of two sets for each, instead of one set for all.
     pub many_uvs: bool,
+    /// Reads what is the same for a whole draw in the vertex stage and hands it on (lit only; for passes of one view):
+    /// for software devices, which read uniform values lane by lane. Elsewhere it is more to hand on, for nothing.
+    pub handed_on: bool,
 }
 
 impl Variant {
@@ -79,6 +82,7 @@ impl Variant {
             self.emissive_texture,
             self.vertex_colors,
             self.many_uvs,
+            self.handed_on,
         ];
         let flags = bits.iter().enumerate().fold(0, |key, (bit, &set)| key | (u32::from(set) << bit));
         flags | (self.law as u32) << 8 | (self.coverage as u32) << 10
@@ -124,6 +128,8 @@ impl Variant {
         add(self.uses_uv(), "UV");
         add(self.uses_uv() && !self.many_uvs, "ONE_UV");
         add(self.many_uvs, "MANY_UVS");
+        add(self.handed_on, "HANDED_ON");
+        add(!self.handed_on, "LOOKED_UP");
         flags
     }
 
@@ -132,7 +138,7 @@ impl Variant {
         let mut all = Vec::new();
         for law in [Law::Unlit, Law::MetallicRoughness, Law::BlinnPhong] {
             for coverage in [Coverage::Opaque, Coverage::Mask, Coverage::Blend] {
-                for bits in 0..128u32 {
+                for bits in 0..256u32 {
                     let bit = |index: u32| bits >> index & 1 == 1;
                     let variant = Self {
                         law,
@@ -144,6 +150,7 @@ impl Variant {
                         emissive_texture: bit(4),
                         vertex_colors: bit(5),
                         many_uvs: bit(6),
+                        handed_on: bit(7),
                     };
                     if variant.makes_sense() {
                         all.push(variant);
@@ -164,7 +171,8 @@ impl Variant {
     }
 
     fn makes_sense(&self) -> bool {
-        let only_lit = self.normal_texture || self.occlusion_texture || self.emissive_texture;
+        let only_lit =
+            self.normal_texture || self.occlusion_texture || self.emissive_texture || self.handed_on;
         (self.lit() || !only_lit)
             && (self.law == Law::MetallicRoughness || !self.metallic_roughness_texture)
             && (!self.many_uvs || self.textures() > 1)

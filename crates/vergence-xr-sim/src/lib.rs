@@ -13,6 +13,7 @@ mod error;
 mod event;
 mod extension;
 pub mod fault;
+mod features;
 mod ffi;
 mod frame;
 mod graphics;

@@ -1,12 +1,13 @@
 //! XR_KHR_vulkan_enable2: the application's Vulkan instance and device are made through the runtime, which adds what
 //! its composition needs.
 
-use std::ffi::{CStr, c_void};
+use std::ffi::CStr;
 
 use openxr_sys as sys;
 use sys::platform::{VkDevice, VkInstance, VkPhysicalDevice, VkResult};
 use vergence_gpu::vk::{self, Handle as _};
 
+use crate::features::Features;
 use crate::ffi::{In, Out, XrResult};
 use crate::instance::Instance;
 use crate::system::check_system;
@@ -141,65 +142,16 @@ pub(crate) fn create_vulkan_device(
     let entry = instance.lock().vulkan.ok_or(sys::Result::ERROR_HANDLE_INVALID)?;
     // SAFETY: the application hands over a VkDeviceCreateInfo.
     let mut create = unsafe { *info.vulkan_create_info.cast::<vk::DeviceCreateInfo>() };
-    let mut features = Features::default();
-    features.add_to(&mut create);
+    // SAFETY: the application hands its chain over for this call.
+    let mut features = unsafe { Features::turn_on(create.p_next) };
+    create.p_next = features.chain(create.p_next);
     // SAFETY: the type is that of the function.
     let make: vk::PFN_vkCreateDevice = unsafe { function(gipa, entry.instance, c"vkCreateDevice") }?;
     let physical = vk::PhysicalDevice::from_raw(info.vulkan_physical_device as u64);
     let mut made = vk::Device::null();
-    // SAFETY: the create info is the application's with features chained in front; all of it lives during the call.
+    // SAFETY: the create info is the application's with features turned on; all of it lives during the call.
     let code = unsafe { make(physical, &create, info.vulkan_allocator.cast(), &mut made) };
     result.set(code.as_raw())?;
     out.set(made.as_raw() as VkDevice)?;
     Ok(sys::Result::SUCCESS)
-}
-
-/// The features that composition needs and an application may not have asked for.
-#[derive(Default)]
-struct Features {
-    vulkan11: vk::PhysicalDeviceVulkan11Features<'static>,
-    vulkan12: vk::PhysicalDeviceVulkan12Features<'static>,
-    vulkan13: vk::PhysicalDeviceVulkan13Features<'static>,
-}
-
-impl Features {
-    /// Chains what the application has no structure for. Where it has one it must have asked for the features itself:
-    /// its structures are not ours to write, and Vulkan forbids a feature to be named twice.
-    fn add_to(&mut self, create: &mut vk::DeviceCreateInfo) {
-        use vk::StructureType as S;
-        self.vulkan11.multiview = vk::TRUE;
-        (self.vulkan12.timeline_semaphore, self.vulkan12.host_query_reset) = (vk::TRUE, vk::TRUE);
-        self.vulkan13.dynamic_rendering = vk::TRUE;
-        (self.vulkan13.synchronization2, self.vulkan13.maintenance4) = (vk::TRUE, vk::TRUE);
-        let mut there = Vec::new();
-        let mut link = create.p_next.cast::<vk::BaseInStructure>();
-        while !link.is_null() && there.len() < 64 {
-            // SAFETY: chained structures of Vulkan start with type and next; the application keeps them alive.
-            let base = unsafe { *link };
-            there.push(base.s_type);
-            link = base.p_next;
-        }
-        let has = |kinds: &[S]| kinds.iter().any(|kind| there.contains(kind));
-        if !has(&[S::PHYSICAL_DEVICE_VULKAN_1_1_FEATURES, S::PHYSICAL_DEVICE_MULTIVIEW_FEATURES]) {
-            self.vulkan11.p_next = create.p_next.cast_mut();
-            create.p_next = (&raw const self.vulkan11).cast::<c_void>();
-        }
-        if !has(&[
-            S::PHYSICAL_DEVICE_VULKAN_1_2_FEATURES,
-            S::PHYSICAL_DEVICE_TIMELINE_SEMAPHORE_FEATURES,
-            S::PHYSICAL_DEVICE_HOST_QUERY_RESET_FEATURES,
-        ]) {
-            self.vulkan12.p_next = create.p_next.cast_mut();
-            create.p_next = (&raw const self.vulkan12).cast::<c_void>();
-        }
-        if !has(&[
-            S::PHYSICAL_DEVICE_VULKAN_1_3_FEATURES,
-            S::PHYSICAL_DEVICE_DYNAMIC_RENDERING_FEATURES,
-            S::PHYSICAL_DEVICE_SYNCHRONIZATION_2_FEATURES,
-            S::PHYSICAL_DEVICE_MAINTENANCE_4_FEATURES,
-        ]) {
-            self.vulkan13.p_next = create.p_next.cast_mut();
-            create.p_next = (&raw const self.vulkan13).cast::<c_void>();
-        }
-    }
 }

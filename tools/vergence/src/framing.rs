@@ -70,11 +70,26 @@ impl Framing {
     }
 
     /// Looks from `eye` at `target`; what is not given stays, or is the middle of the scene.
-    pub fn look(&mut self, eye: Option<Point3<f64>>, target: Option<Point3<f64>>, scene: &Scene) {
+    ///
+    /// # Errors
+    /// A sentence, where both are the same point: nobody can say which way that looks.
+    pub fn look(
+        &mut self,
+        eye: Option<Point3<f64>>,
+        target: Option<Point3<f64>>,
+        scene: &Scene,
+    ) -> Result<(), String> {
         let eye = eye.unwrap_or(Point3::from(self.world_from_head.translation.vector));
         let target = target.unwrap_or_else(|| scene.bounds().centre());
+        if !(target - eye).norm().is_normal() {
+            let [x, y, z]: [f64; 3] = eye.into();
+            return Err(format!(
+                "expected an eye position and a target that differ, found {x},{y},{z} for both; give --target"
+            ));
+        }
         self.world_from_head = look_at(&eye, &target);
         self.source = "given";
+        Ok(())
     }
 
     /// Left and right.

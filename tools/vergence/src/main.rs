@@ -19,6 +19,7 @@ mod run;
 mod stats;
 mod stream;
 mod study;
+mod timing;
 mod trade;
 
 use std::os::unix::process::CommandExt;

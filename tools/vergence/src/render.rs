@@ -1,10 +1,10 @@
 //! `vergence render`: a picture of a scene, or how long pictures take.
 
-use std::path::{Path, PathBuf};
+use std::io::Write;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
-use rustix::time::{ClockId, clock_gettime};
 use serde_json::json;
 use vergence_geom::View;
 use vergence_gpu::{Device, DeviceDesc, Instance, InstanceDesc};
@@ -15,6 +15,7 @@ use vergence_time::Span;
 use crate::failure::Failure;
 use crate::framing::{self, Framing};
 use crate::loading;
+use crate::timing::{least, median, process_cpu_ms};
 
 /// Frames that are drawn before any is measured.
 const WARM_UP_FRAMES: u32 = 3;
@@ -59,13 +60,13 @@ pub struct Args {
     #[arg(long)]
     no_normal_maps: bool,
     /// Time in the scene's animations, seconds
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
-    time: f64,
-    /// The picture (PNG)
-    #[arg(short, long, value_name = "FILE.png", required_unless_present = "json")]
-    output: Option<PathBuf>,
-    /// Frames to draw and measure, after three that are not
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "S", default_value = "0", value_parser = seconds, allow_hyphen_values = true)]
+    time: Span,
+    /// The picture, a PNG; `-`: to stdout
+    #[arg(short, long, value_name = "FILE.png", value_parser = png_file, required_unless_present = "json")]
+    output: Option<Output>,
+    /// Frames to draw; with more than one, or --json, they are measured, after three that are not
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     frames: u32,
     /// Brings the pixels of every frame back to the host
     #[arg(long)]
@@ -98,6 +99,32 @@ enum Lights {
     None,
 }
 
+/// Where the picture goes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Output {
+    Stdout,
+    File(PathBuf),
+}
+
+/// Parses the name of a picture.
+fn png_file(text: &str) -> Result<Output, String> {
+    if text == "-" {
+        return Ok(Output::Stdout);
+    }
+    let path = PathBuf::from(text);
+    match path.extension() {
+        Some(extension) if extension.eq_ignore_ascii_case("png") => Ok(Output::File(path)),
+        _ => Err(format!("expected a name that ends in .png, or - for stdout, found {text:?}")),
+    }
+}
+
+/// Parses a time in a scene.
+fn seconds(text: &str) -> Result<Span, String> {
+    let seconds: Option<f64> = text.parse().ok();
+    let span = seconds.filter(|s| s.is_finite()).and_then(Span::from_secs_f64);
+    span.ok_or_else(|| format!("expected a number of seconds (up to 292 years), found {text:?}"))
+}
+
 /// Milliseconds per frame.
 struct Times {
     wall_ms: Vec<f64>,
@@ -108,6 +135,9 @@ struct Times {
 impl Args {
     /// Draws, measures, writes, prints.
     pub fn run(self) -> Result<(), Failure> {
+        if self.json && self.output == Some(Output::Stdout) {
+            return Err(Failure::Call("--json and -o -: expected one of them on stdout, found both".into()));
+        }
         let scene = self.prepare()?;
         let framing = self.frame(&scene)?;
         let all =
@@ -132,6 +162,14 @@ impl Args {
         let instance = Instance::new(&desc, None).map_err(|e| Failure::work(&e))?;
         let device = Device::new(&instance, &DeviceDesc::default(), None).map_err(|e| Failure::gpu(&e))?;
         quality.check(device.limits()).map_err(|e| Failure::call(&e))?;
+        let most = device.limits().max_image_size;
+        if self.size.0.max(self.size.1) > most {
+            let (width, height) = self.size;
+            return Err(Failure::Call(format!(
+                "--size: expected at most {most}x{most} ({}), found {width}x{height}",
+                device.limits().name
+            )));
+        }
         let anisotropy = quality.anisotropy_on(device.limits());
         let target = Target::new(self.size, views.len() as u32);
         let needs = Needs::of(&scene, quality.normal_maps);
@@ -140,9 +178,9 @@ impl Args {
         let mut offscreen = Offscreen::new(&device, &target, false).map_err(|e| Failure::work(&e))?;
         let times =
             self.draw(&device, &mut renderer, &mut offscreen, &views).map_err(|e| Failure::work(&e))?;
-        if let Some(path) = &self.output {
+        if let Some(output) = &self.output {
             let pictures = offscreen.pictures().map_err(|e| Failure::work(&e))?;
-            write_png(path, self.size, &pictures)?;
+            write_png(output, self.size, &pictures)?;
         }
         let passes = renderer.timings(0).map_err(|e| Failure::work(&e))?;
         let statistics = renderer.statistics();
@@ -152,7 +190,9 @@ impl Args {
         }
         if self.json {
             let summary = |times: &[f64]| json!({ "min": least(times), "median": median(times) });
-            let gpu: serde_json::Map<_, _> = passes.iter().map(|p| (p.name.into(), json!(p.ms))).collect();
+            // The stamps of a processor are not those of a GPU.
+            let passes = passes.iter().filter(|_| !device.limits().software);
+            let gpu: serde_json::Map<_, _> = passes.map(|p| (p.name.into(), json!(p.ms))).collect();
             println!(
                 "{}",
                 json!({
@@ -175,8 +215,8 @@ impl Args {
                 })
             );
         } else {
-            println!(
-                "{}: {} × {}×{}, MSAA {}, anisotropy {}: {} triangles ({} drawn), {:.1} ms wall, {:.1} ms CPU per frame",
+            let mut sentence = format!(
+                "{}: {} × {}×{}, MSAA {}, anisotropy {}: {} triangles ({} drawn)",
                 device.limits().name,
                 views.len(),
                 self.size.0,
@@ -185,11 +225,22 @@ impl Args {
                 anisotropy,
                 statistics.triangles,
                 statistics.triangles_drawn,
-                median(&times.wall_ms),
-                median(&times.cpu_ms)
             );
+            if self.is_measured() {
+                let (wall, cpu) = (median(&times.wall_ms), median(&times.cpu_ms));
+                sentence += &format!(", {wall:.1} ms wall, {cpu:.1} ms CPU per frame");
+            }
+            match self.output {
+                Some(Output::Stdout) => eprintln!("{sentence}"),
+                _ => println!("{sentence}"),
+            }
         }
         Ok(())
+    }
+
+    /// A single frame for a picture is not measured: its time would be that of the driver's compiler.
+    fn is_measured(&self) -> bool {
+        self.frames > 1 || self.json
     }
 
     /// The scene with the lights that were asked for.
@@ -218,7 +269,7 @@ impl Args {
             None => Framing::of(scene),
         };
         if self.eye_position.is_some() || self.target.is_some() {
-            framing.look(self.eye_position, self.target, scene);
+            framing.look(self.eye_position, self.target, scene).map_err(Failure::Call)?;
         }
         if let Some(fov_y) = self.fov_y {
             framing.fov_y_rad = fov_y.to_radians();
@@ -239,12 +290,11 @@ impl Args {
         offscreen: &mut Offscreen,
         views: &[View],
     ) -> Result<Times, vergence_render::Error> {
-        let time = Span::from_secs_f64(self.time).unwrap_or(Span::ZERO);
-        let measured = self.frames > 1 || self.json;
+        let (time, measured) = (self.time, self.is_measured());
         let warm_up = if measured { WARM_UP_FRAMES } else { 0 };
         let mut times = Times { wall_ms: Vec::new(), cpu_ms: Vec::new(), thread_ms: Vec::new() };
         vergence_gpu::set_driver_clock(measured);
-        for frame in 0..warm_up + self.frames.max(1) {
+        for frame in 0..warm_up + self.frames {
             let (wall, cpu) = (Instant::now(), process_cpu_ms());
             let (thread, driver) = (vergence_gpu::thread_cpu_ns(), vergence_gpu::driver_time());
             renderer.begin(0, time, views, &offscreen.attachments())?;
@@ -267,25 +317,13 @@ impl Args {
     }
 }
 
-/// CPU time of all threads of this process.
-fn process_cpu_ms() -> f64 {
-    let t = clock_gettime(ClockId::ProcessCPUTime);
-    t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 * 1e-6
-}
-
-fn least(times: &[f64]) -> f64 {
-    times.iter().copied().fold(f64::INFINITY, f64::min)
-}
-
-fn median(times: &[f64]) -> f64 {
-    let mut sorted = times.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
-}
-
 /// Writes pictures of one size side by side.
-fn write_png(path: &Path, size: (u32, u32), pictures: &[Vec<u8>]) -> Result<(), Failure> {
-    let fail = |error: &dyn std::fmt::Display| Failure::Work(format!("{}: {error}", path.display()));
+fn write_png(output: &Output, size: (u32, u32), pictures: &[Vec<u8>]) -> Result<(), Failure> {
+    let name = match output {
+        Output::Stdout => "stdout".into(),
+        Output::File(path) => path.display().to_string(),
+    };
+    let fail = |error: &dyn std::fmt::Display| Failure::Work(format!("{name}: {error}"));
     let row = 4 * size.0 as usize;
     let mut pixels = Vec::with_capacity(pictures.len() * row * size.1 as usize);
     for y in 0..size.1 as usize {
@@ -293,13 +331,39 @@ fn write_png(path: &Path, size: (u32, u32), pictures: &[Vec<u8>]) -> Result<(), 
             pixels.extend_from_slice(&picture[y * row..(y + 1) * row]);
         }
     }
-    let file = std::fs::File::create(path).map_err(|e| fail(&e))?;
+    let sink: Box<dyn Write> = match output {
+        Output::Stdout => Box::new(std::io::stdout().lock()),
+        Output::File(path) => Box::new(std::fs::File::create(path).map_err(|e| fail(&e))?),
+    };
     let mut encoder =
-        png::Encoder::new(std::io::BufWriter::new(file), size.0 * pictures.len() as u32, size.1);
+        png::Encoder::new(std::io::BufWriter::new(sink), size.0 * pictures.len() as u32, size.1);
     encoder.set_color(png::ColorType::Rgba);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
     let mut writer = encoder.write_header().map_err(|e| fail(&e))?;
     writer.write_image_data(&pixels).map_err(|e| fail(&e))?;
     writer.finish().map_err(|e| fail(&e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_pngs_are_written() {
+        assert_eq!(png_file("a.PNG"), Ok(Output::File("a.PNG".into())));
+        assert_eq!(png_file("-"), Ok(Output::Stdout));
+        for wrong in ["a.jpg", "png", "", "a.png.txt"] {
+            assert!(png_file(wrong).unwrap_err().contains(".png"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn times_are_finite() {
+        assert_eq!(seconds("1.5"), Ok(Span::from_nanos(1_500_000_000)));
+        assert_eq!(seconds("-2"), Ok(Span::from_nanos(-2_000_000_000)));
+        for wrong in ["nan", "inf", "1e300", "", "soon"] {
+            assert!(seconds(wrong).unwrap_err().contains("number of seconds"), "{wrong}");
+        }
+    }
 }

@@ -54,8 +54,8 @@ impl Args {
 
 #[derive(clap::Args)]
 struct RenderTrade {
-    /// Scenes to measure: .glb, .gltf, .obj, .ply or scene .toml
-    #[arg(required = true)]
+    /// Scenes to measure: .glb, .gltf, .obj, .ply or scene .toml [default: the sample room of the source tree]
+    #[arg(value_name = "SCENE")]
     scenes: Vec<PathBuf>,
     /// Folder for the results; made where it is missing
     #[arg(short, long, value_name = "DIR")]
@@ -120,6 +120,10 @@ fn milliseconds(text: &str) -> Result<f64, String> {
     Ok(duration.seconds() * 1e3)
 }
 
+/// The sample scene, where the tool was built from source.
+const SAMPLE_ROOM: &str =
+    concat!(env!("CARGO_MANIFEST_DIR"), "/../../crates/vergence-scene/samples/room.toml");
+
 impl RenderTrade {
     fn run(self) -> Result<(), Failure> {
         let error_scale = self.metric as usize;
@@ -128,9 +132,9 @@ impl RenderTrade {
             (_, Some(error)) => Some(Limit::Error(error)),
             _ => None,
         };
-        std::fs::create_dir_all(&self.output).map_err(|e| self.unwritable(&self.output, &e))?;
+        self.check_folder()?;
         let plan = Plan {
-            scenes: self.scenes.clone(),
+            scenes: self.scenes_or_sample()?,
             size: self.size,
             bench_view: self.view.is_some(),
             quick: self.quick,
@@ -156,6 +160,28 @@ impl RenderTrade {
         choice.map(|_| ()).map_err(|error| Failure::work(&error))
     }
 
+    /// Refuses early what cannot become the folder; it is made when there is something to put into it.
+    fn check_folder(&self) -> Result<(), Failure> {
+        if self.output.exists() && !self.output.is_dir() {
+            return Err(Failure::Call(format!("{}: expected a folder, found a file", self.output.display())));
+        }
+        Ok(())
+    }
+
+    /// The scenes that were named, else the sample room.
+    fn scenes_or_sample(&self) -> Result<Vec<PathBuf>, Failure> {
+        if !self.scenes.is_empty() {
+            return Ok(self.scenes.clone());
+        }
+        let sample = PathBuf::from(SAMPLE_ROOM);
+        if !sample.is_file() {
+            return Err(Failure::Call(format!(
+                "expected a scene to measure, found none (and no sample at {SAMPLE_ROOM})"
+            )));
+        }
+        Ok(vec![sample])
+    }
+
     fn unwritable(&self, path: &Path, error: &dyn std::error::Error) -> Failure {
         Failure::Work(format!("{}: {error}", path.display()))
     }
@@ -167,6 +193,7 @@ impl RenderTrade {
         error: usize,
         chosen: Option<usize>,
     ) -> Result<(), Failure> {
+        std::fs::create_dir_all(&self.output).map_err(|e| self.unwritable(&self.output, &e))?;
         let save = |name: &str, bytes: &[u8]| {
             let path = self.output.join(name);
             std::fs::write(&path, bytes).map_err(|e| self.unwritable(&path, &e))

@@ -10,6 +10,7 @@ use vergence_scene::{Needs, Scene};
 use vergence_time::Span;
 
 use crate::failure::Failure;
+use crate::timing::{median, process_cpu_ms};
 
 /// A device to draw with.
 pub struct Studio {
@@ -121,32 +122,8 @@ impl Studio {
                 gpu.push(renderer.timings(0)?.iter().map(|pass| pass.ms).sum());
             }
         }
-        let gpu_ms = if self.gpu_times_mean_something() { median(&mut gpu) } else { f64::NAN };
-        let costs = Costs { cpu_ms: median(&mut cpu), gpu_ms, wall_ms: median(&mut wall) };
+        let gpu_ms = if self.gpu_times_mean_something() { median(&gpu) } else { f64::NAN };
+        let costs = Costs { cpu_ms: median(&cpu), gpu_ms, wall_ms: median(&wall) };
         Ok(Drawn { size, rgba: offscreen.pictures()?, costs })
-    }
-}
-
-/// CPU time of all threads of this process.
-fn process_cpu_ms() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 * 1e-6
-}
-
-/// The middle one (the lower of two); NaN without any.
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len().saturating_sub(1) / 2).copied().unwrap_or(f64::NAN)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn medians_are_measured_values() {
-        assert_eq!(median(&mut [3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(&mut [4.0, 3.0, 1.0, 2.0]), 2.0);
-        assert!(median(&mut []).is_nan());
     }
 }
