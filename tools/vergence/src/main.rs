@@ -83,7 +83,7 @@ fn quiet_loader() {
     if let Ok(program) = std::env::current_exe() {
         // Returns only where it fails: then the loader says its five lines.
         let error = Command::new(program).arg0(name).args(arguments).env(LOADER_SAYS, "none").exec();
-        log::debug!("{error}");
+        ::log::debug!("{error}");
     }
 }
 
