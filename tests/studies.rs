@@ -10,7 +10,7 @@ use vergence_tests::data;
 fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
         .unwrap_or_else(|error| panic!("{}: {error}", folder.display()))
-        .map(|entry| entry.unwrap().path())
+        .map(|entry| entry.expect("the folder can be read").path())
         .filter(|path| path.extension().is_some_and(|own| own == extension))
         .collect();
     files.sort();
@@ -18,8 +18,8 @@ fn files(folder: &Path, extension: &str) -> Vec<PathBuf> {
 }
 
 fn read(tool: Tool, path: &Path, map: &ColumnMap) -> Imported {
-    let text = std::fs::read_to_string(path).unwrap();
-    let name = path.file_name().unwrap().to_string_lossy();
+    let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let name = path.file_name().expect("a file has a name").to_string_lossy();
     import(tool, &name, &text, map).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
