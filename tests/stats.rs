@@ -16,18 +16,19 @@ fn digits(found: f64, certified: f64) -> f64 {
 
 fn read(path: &Path) -> (String, Table) {
     let text = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-    let table = Table::parse(&text).unwrap();
+    let table = Table::parse(&text).expect("a data set of the collection parses");
     (text, table)
 }
 
 fn fit(table: &Table, degree: u32) -> vergence_stats::Regression {
-    let y = table.decimals(0).unwrap();
-    let mut columns: Vec<Vec<Decimal>> = (1..table.names.len()).map(|i| table.decimals(i).unwrap()).collect();
+    let y = table.decimals(0).expect("the first column is numbers");
+    let mut columns: Vec<Vec<Decimal>> =
+        (1..table.names.len()).map(|i| table.decimals(i).expect("every column is numbers")).collect();
     for _ in 1..degree {
         let last = &columns[columns.len() - 1];
         columns.push(last.iter().zip(&columns[0]).map(|(a, b)| a.times(b)).collect());
     }
-    regress(&y, &columns, true).unwrap()
+    regress(&y, &columns, true).expect("the data sets of the collection can be fitted")
 }
 
 /// Asks for more than the bars of 12 (Norris), 10 (Longley) and 8 (Filip): the sums are exact.
