@@ -4,7 +4,7 @@ use proptest::prelude::*;
 use vergence_stats::{Decimal, Error, Observation, linear, one_way, regress, repeated};
 
 fn exact(values: &[f64]) -> Vec<Decimal> {
-    values.iter().map(|value| Decimal::from_f64(*value).unwrap()).collect()
+    values.iter().map(|value| Decimal::from_f64(*value).expect("a number that is finite")).collect()
 }
 
 fn observation(subject: usize, group: Option<&str>, levels: &[usize], value: f64) -> Observation {
