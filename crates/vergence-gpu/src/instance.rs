@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::ffi::{CStr, CString, c_char, c_void};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use ash::vk;
 use raw_window_handle::RawDisplayHandle;
@@ -13,6 +13,20 @@ use crate::error::{At, Error};
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 /// Messages kept until they are drained; more are only counted.
 const MESSAGES_KEPT: usize = 1000;
+
+/// Keeps the drivers loaded until the process ends, by an instance without layers that is never destroyed.
+///
+/// With the last instance the loader unloads the drivers. Mesa's (seen: llvmpipe 22.3.6) leaves something to be run at the end of
+/// each thread that used it, so a thread that ends after the last instance jumps into memory that is gone. Cost: once per
+/// process, what the loader's smallest instance costs.
+fn keep_drivers(entry: &ash::Entry) {
+    static KEPT: OnceLock<(ash::Entry, Option<ash::Instance>)> = OnceLock::new();
+    KEPT.get_or_init(|| {
+        // SAFETY: the entry is valid and kept beside the instance; the create info names neither layers nor extensions.
+        let kept = unsafe { entry.create_instance(&vk::InstanceCreateInfo::default(), None) };
+        (entry.clone(), kept.ok())
+    });
+}
 
 /// Somebody who makes the instance and the device on our behalf: an OpenXR runtime by `XR_KHR_vulkan_enable2`.
 ///
@@ -162,6 +176,7 @@ impl Instance {
             log::warn!("the Vulkan validation layer does not validate synchronization");
         }
 
+        keep_drivers(&entry);
         let messages = Arc::new(Messages::default());
         let app_name = CString::new(desc.app_name.replace('\0', "")).unwrap_or_default();
         let app = vk::ApplicationInfo::default()
