@@ -26,7 +26,7 @@ pub use frustum::{Frustum, Plane};
 pub use ray::Ray;
 pub use rotation::{
     advance, exp, interpolate, left_jacobian, left_jacobian_inverse, log, mean, right_jacobian,
-    right_jacobian_inverse, slerp, stumpff,
+    right_jacobian_inverse, slerp, stumpff, yaw,
 };
 
 /// A rigid transform: rotation (unit Hamilton quaternion, stored x y z w) and translation in metres.

@@ -11,6 +11,15 @@ use crate::Rigid;
 /// Half angles below this (its square) take the power series, which is as exact there and needs no sine.
 const SERIES_BELOW: f64 = 0.0625;
 
+/// The part of a rotation that turns about the vertical: where the −z axis points, seen from above. Where it points
+/// straight up or down, where +y does (of a head: its top).
+pub fn yaw(rotation: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    let forward = rotation * -Vector3::z();
+    let up = rotation * Vector3::y();
+    let ahead = if forward.x.hypot(forward.z) > 1e-6 { forward } else { up * -forward.y.signum() };
+    UnitQuaternion::from_axis_angle(&Vector3::y_axis(), (-ahead.x).atan2(-ahead.z))
+}
+
 /// The rotation about `rotation_rad`'s direction by its length (radians): the exponential of so(3).
 ///
 /// Error of each component at most a few 1e-16 for lengths up to 2π, growing with the length as that of `sin` does. A

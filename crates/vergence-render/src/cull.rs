@@ -49,7 +49,7 @@ impl Visible {
         let frustum = Frustum::enclosing(views, quality.cull_margin_m, quality.cull_margin_rad);
         let middle = middle_of(views);
         for (index, (drawable, (centre, radius_m))) in meshes.drawables.iter().zip(&pose.balls).enumerate() {
-            if !frustum.may_see_ball(centre, *radius_m) {
+            if pose.hidden[drawable.node] || !frustum.may_see_ball(centre, *radius_m) {
                 continue;
             }
             if let Some(fronts) = &drawable.fronts

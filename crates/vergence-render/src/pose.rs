@@ -17,6 +17,10 @@ pub(crate) struct Pose {
     pub joint_rows: Vec<[f32; 4]>,
     /// One per skin at a node: where its results are relative to, world coordinates.
     pub anchors: Vec<Point3<f64>>,
+    /// Nodes that the caller has placed, relative to their parents.
+    placed: Vec<(usize, Affine)>,
+    /// Per node: whether it is not drawn.
+    pub hidden: Vec<bool>,
     fresh: bool,
 }
 
@@ -28,8 +32,20 @@ impl Pose {
             balls: vec![(Point3::origin(), 0.0); meshes.drawables.len()],
             joint_rows: vec![[0.0; 4]; 6 * meshes.joints],
             anchors: vec![Point3::origin(); meshes.skins.len()],
+            placed: Vec::new(),
+            hidden: vec![false; scene.nodes.len()],
             fresh: false,
         }
+    }
+
+    /// Places a node relative to its parent from now on, whatever animates it.
+    pub fn place(&mut self, node: usize, parent_from_node: &Affine) {
+        match self.placed.iter_mut().find(|(placed, _)| *placed == node) {
+            Some((_, place)) if place == parent_from_node => return,
+            Some((_, place)) => *place = *parent_from_node,
+            None => self.placed.push((node, *parent_from_node)),
+        }
+        self.fresh = false;
     }
 
     /// Moves to `time` after the start of the clips in [`Scene::playing`]. O(nodes + drawables), nothing where nothing moves.
@@ -38,6 +54,11 @@ impl Pose {
             return;
         }
         scene.animate(time, &mut self.locals);
+        for (node, parent_from_node) in &self.placed {
+            if let Some(local) = self.locals.get_mut(*node) {
+                *local = Local::Matrix(*parent_from_node);
+            }
+        }
         let locals = &self.locals;
         self.world.update(scene, |node| locals[node].to_affine());
         self.skin(scene, meshes);

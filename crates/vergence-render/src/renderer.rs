@@ -284,6 +284,19 @@ impl Renderer {
         Ok(())
     }
 
+    /// Places a node relative to its parent from the next frame on, whatever animates it. A node that is not there is
+    /// nothing to place. Each is looked for among all that were placed so far: meant for a few.
+    pub fn place(&mut self, node: usize, parent_from_node: &vergence_geom::Affine) {
+        self.pose.place(node, parent_from_node);
+    }
+
+    /// Whether the mesh of a node is drawn, from the next frame on; at first, all are. Labels stay.
+    pub fn show(&mut self, node: usize, shown: bool) {
+        if let Some(hidden) = self.pose.hidden.get_mut(node) {
+            *hidden = !shown;
+        }
+    }
+
     /// Begins a frame in `slot` (which waits for the frame that used it before): moves the scene to
     /// `animation_time`, finds what `cull_views` may see, and records the draws to `attachments`. A frame that was begun
     /// in `slot` and not submitted is dropped.

@@ -18,6 +18,8 @@ const SIZE: (u32, u32) = (1280, 640);
 const TURN_RAD: f64 = 0.003;
 /// Moving by keys, metres per second; three times as fast with Shift.
 const MOVE_M_S: f64 = 1.4;
+/// A finger rests on the trigger: what the eyes rest on is pointed at before anything was taken.
+const RESTING: f32 = 0.1;
 /// Looking up and down ends short of the poles.
 const STEEPEST_RAD: f64 = 1.5;
 /// A pause longer than this (a window being dragged) moves nobody further, seconds.
@@ -73,9 +75,10 @@ impl PoseProvider for ByHand {
             let side = if hand == Hand::Left { -1.0 } else { 1.0 };
             let grip = Tracked::Seen(head * Rigid::translation(0.2 * side, -0.35, -0.4));
             match hand {
-                Hand::Left => Controller::idle(grip, grip),
+                // It does nothing, so it points at nothing.
+                Hand::Left => Controller::idle(grip, Tracked::Lost),
                 Hand::Right => Controller {
-                    trigger: if explorer.trigger { 1.0 } else { 0.0 },
+                    trigger: if explorer.trigger { 1.0 } else { RESTING },
                     ..Controller::idle(grip, Tracked::Seen(head))
                 },
             }

@@ -16,6 +16,7 @@ use crate::capture::Picture;
 use crate::desk::Desk;
 use crate::error::{Error, with_cause};
 use crate::headset::Chosen;
+use crate::markers::Markers;
 use crate::place;
 use crate::recording::Recording;
 use crate::report::{PassReport, RecordReport};
@@ -48,6 +49,7 @@ struct Session {
     client: Client,
     device: Arc<gpu::Device>,
     touching: Option<Touching>,
+    markers: Option<Markers>,
     is_simulated: bool,
     start: place::Start,
     /// Walked by thumbstick, world coordinates.
@@ -187,8 +189,10 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
         views: pictures.views,
     };
     let mut renderer =
-        Renderer::new(&device, &run.scene, &run.plan.needs, &run.config.quality, &target, FRAMES_IN_FLIGHT)?;
+        Renderer::new(&device, &run.marked, &run.plan.needs, &run.config.quality, &target, FRAMES_IN_FLIGHT)?;
     let masked = mask(&mut client, &mut renderer)?;
+    let touching = Touching::new(&run.scene, &client);
+    let markers = Markers::new(&run.scene, &mut renderer);
 
     let report = &mut run.report;
     report.device = format!("{} ({})", device.limits().name, device.limits().driver);
@@ -219,7 +223,8 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
         client.tell(|| Said::Event(Event::new(SESSION_BEGINS, "")));
     }
     Ok(Session {
-        touching: Touching::new(&run.scene, &client),
+        touching,
+        markers,
         renderer,
         read_back: None,
         client,
@@ -571,6 +576,9 @@ fn follow_user(
     let display = frame.prediction.display;
     if let Some(moves) = session.recentring.filter(|moves| moves.first <= display) {
         session.world_from_local = None;
+        if let Some(touching) = &mut session.touching {
+            touching.recentred();
+        }
         session.recentring = Some(moves).filter(|moves| moves.last > display);
     }
     let placed = match session.world_from_local {
@@ -592,8 +600,14 @@ fn follow_user(
     let world_from_local = nalgebra::Translation3::from(session.walked) * placed;
     if let Some(touching) = &mut session.touching {
         let period = frame.prediction.period;
+        // The same as the renderer's: a replay is told the same displays.
+        let begun = session.first_display.unwrap_or(display);
+        touching.move_targets(display.since(begun).unwrap_or(Span::ZERO));
         session.walked +=
             touching.follow(&mut session.client, &world_from_local, head, run.tally.frames, period)?;
+        if let Some(markers) = &session.markers {
+            markers.follow(&mut session.renderer, touching);
+        }
     }
     Ok(nalgebra::Translation3::from(session.walked) * placed)
 }

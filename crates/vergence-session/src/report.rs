@@ -31,7 +31,7 @@ pub struct Touch {
     pub frame: u64,
     /// `left` or `right`.
     pub hand: &'static str,
-    /// `pointed`, `grabbed` or `released`.
+    /// `pointed`, `taken` or `released`.
     pub what: &'static str,
     /// Name of what was touched.
     pub name: String,

@@ -15,6 +15,7 @@ use crate::desk::Desk;
 use crate::error::Error;
 use crate::frame_loop::{self, End};
 use crate::headset;
+use crate::markers::with_markers;
 use crate::place;
 use crate::pose_log::PoseLog;
 use crate::report::{RecordReport, RunReport};
@@ -42,7 +43,10 @@ pub enum Happening<'a> {
 
 /// What all sessions of a run share.
 pub(crate) struct Run<'a> {
+    /// As it was given: what can be pointed at.
     pub(crate) scene: Arc<Scene>,
+    /// As it is drawn: with markers, where something can be touched.
+    pub(crate) marked: Arc<Scene>,
     pub(crate) plan: Plan,
     pub(crate) start: place::Start,
     pub(crate) config: RunConfig,
@@ -135,9 +139,11 @@ fn whole(
     };
     let capture = config.capture.as_ref().map(|c| Capture::start(c, config.frames)).transpose()?;
     let pose_log = config.log_poses.as_deref().map(PoseLog::create).transpose()?;
+    let marked = with_markers(scene);
     let mut run = Run {
         scene: Arc::clone(scene),
-        plan: Plan::of(scene, &requests),
+        plan: Plan::of(&marked, &requests),
+        marked,
         start: place::start(scene),
         config: config.clone(),
         tally: Tally::default(),

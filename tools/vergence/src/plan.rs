@@ -29,7 +29,8 @@ pub struct Args {
 impl Args {
     /// Makes the plan and prints it.
     pub fn run(self) -> Result<(), Failure> {
-        let scene = Arc::new(loading::scene(&self.scene)?);
+        // As a run draws it.
+        let scene = vergence_session::with_markers(&Arc::new(loading::scene(&self.scene)?));
         let requests = Requests {
             normal_maps: !self.no_normal_maps,
             hand_joints: self.with.contains(&Stream::Hands),

@@ -51,7 +51,8 @@ pub struct Args {
     /// Gives up where no first frame is shown for so long
     #[arg(long, value_name = "S", default_value_t = 60.0)]
     patience: f64,
-    /// Mirrors the pictures in a window until it is closed; drag to look, W A S D and Q E to go, right button to take
+    /// Mirrors the pictures in a window until it is closed; drag to look, W A S D and Q E to go, right button
+    /// or space to take what the dot is on: its frame turns green
     #[arg(long)]
     window: bool,
     /// Writes stereo pictures, the poses they were seen from, and the report into a folder; those of an earlier run

@@ -211,13 +211,9 @@ pub(crate) fn aim_of(stage_from_grip: &Tracked) -> Tracked {
     stage_from_grip.map(|stage_from_grip| stage_from_grip * grip_from_aim)
 }
 
-/// The part of a rotation that turns about the vertical: where the −z axis points, seen from above. Where it points
-/// straight up or down, where the top of the head does.
+/// See [`vergence_geom::yaw`].
 pub(crate) fn yaw_of(pose: &Rigid) -> nalgebra::UnitQuaternion<f64> {
-    let forward = pose.rotation * -nalgebra::Vector3::z();
-    let up = pose.rotation * nalgebra::Vector3::y();
-    let ahead = if forward.x.hypot(forward.z) > 1e-6 { forward } else { up * -forward.y.signum() };
-    nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::y_axis(), (-ahead.x).atan2(-ahead.z))
+    vergence_geom::yaw(&pose.rotation)
 }
 
 #[cfg(test)]
