@@ -61,4 +61,7 @@ pub enum Error {
         /// What is there.
         found: String,
     },
+    /// Parameters that cannot be used.
+    #[error(transparent)]
+    Config(#[from] vergence_config::Error),
 }

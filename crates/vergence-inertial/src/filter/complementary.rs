@@ -5,7 +5,8 @@ use super::turn::{from_directions, level, renormalised, turn, wrapped};
 use super::{Clean, Core};
 
 /// Knobs of the complementary filter.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct ComplementaryParams {
     /// Time constant of the pull towards the accelerometer's up, seconds; 0.1 to 30. Small: acceleration of the sensor tilts
     /// it. Large: gyroscope bias does. Default 3. Costs nothing.

@@ -1,9 +1,12 @@
+use std::path::Path;
+
 use vergence_time::Span;
 
 use super::{
-    Complementary, ComplementaryParams, Filter, Integration, Limits, Madgwick, MadgwickParams, Mahony,
-    MahonyParams, Stream, Vergence, VergenceParams, Vqf, VqfParams,
+    Complementary, Core, Filter, Integration, Limits, Madgwick, Mahony, Params, Stream, Vergence, Vqf,
+    VqfParams, read_params,
 };
+use crate::Error;
 
 /// Which sensors are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,30 +68,70 @@ impl Kind {
 
     /// A filter of this kind at its start, for samples every `period`.
     pub fn filter(self, axes: Axes, period: Span) -> Box<dyn Filter> {
-        let limits = Limits::default();
-        let period_s = period.as_secs_f64();
-        match self {
-            Self::Integration => Box::new(Stream::new(Integration::default(), axes, period, limits)),
-            Self::Complementary => Box::new(Stream::new(
-                Complementary::new(ComplementaryParams::default()),
-                axes,
-                period,
-                limits,
-            )),
-            Self::Madgwick => {
-                Box::new(Stream::new(Madgwick::new(MadgwickParams::default()), axes, period, limits))
-            }
-            Self::Mahony => Box::new(Stream::new(Mahony::new(MahonyParams::default()), axes, period, limits)),
-            Self::VqfBasic => {
-                Box::new(Stream::new(Vqf::new(VqfParams::BASIC, period_s), axes, period, limits))
-            }
-            Self::Vqf => Box::new(Stream::new(Vqf::new(VqfParams::FULL, period_s), axes, period, limits)),
-            Self::Vergence => Box::new(Stream::new(
-                Vergence::new(VergenceParams::default(), period_s),
-                axes,
-                period,
-                limits,
-            )),
+        // Without a file nothing can be wrong in it.
+        self.made(axes, period, &mut Defaults).unwrap_or_else(|never| match never {})
+    }
+
+    /// The same with parameters from the file `config`; what it does not name has its default.
+    ///
+    /// # Errors
+    /// Those of [`read_params`]; [`Error::Mismatch`] for a filter without parameters.
+    pub fn configured(self, axes: Axes, period: Span, config: &Path) -> Result<Box<dyn Filter>, Error> {
+        if self == Self::Integration {
+            return Err(Error::Mismatch {
+                path: config.to_owned(),
+                expected: "a filter with parameters".to_owned(),
+                found: self.name().to_owned(),
+            });
         }
+        self.made(axes, period, &mut FromFile(config))
+    }
+
+    fn made<S: Source>(self, axes: Axes, period: Span, from: &mut S) -> Result<Box<dyn Filter>, S::Error> {
+        fn stream(core: impl Core + 'static, axes: Axes, period: Span) -> Box<dyn Filter> {
+            Box::new(Stream::new(core, axes, period, Limits::default()))
+        }
+        let period_s = period.as_secs_f64();
+        Ok(match self {
+            Self::Integration => stream(Integration::default(), axes, period),
+            Self::Complementary => stream(Complementary::new(from.params()?), axes, period),
+            Self::Madgwick => stream(Madgwick::new(from.params()?), axes, period),
+            Self::Mahony => stream(Mahony::new(from.params()?), axes, period),
+            Self::VqfBasic => {
+                let params = VqfParams {
+                    motion_bias: false,
+                    rest_bias: false,
+                    magnetic_rejection: false,
+                    ..from.params()?
+                };
+                stream(Vqf::new(params, period_s), axes, period)
+            }
+            Self::Vqf => stream(Vqf::new(from.params()?, period_s), axes, period),
+            Self::Vergence => stream(Vergence::new(from.params()?, period_s), axes, period),
+        })
+    }
+}
+
+/// Where parameters come from.
+trait Source {
+    type Error;
+    fn params<P: Params + Default>(&mut self) -> Result<P, Self::Error>;
+}
+
+struct Defaults;
+
+impl Source for Defaults {
+    type Error = std::convert::Infallible;
+    fn params<P: Params + Default>(&mut self) -> Result<P, Self::Error> {
+        Ok(P::default())
+    }
+}
+
+struct FromFile<'a>(&'a Path);
+
+impl Source for FromFile<'_> {
+    type Error = Error;
+    fn params<P: Params + Default>(&mut self) -> Result<P, Error> {
+        read_params(self.0)
     }
 }

@@ -5,7 +5,8 @@ use super::turn::{from_directions, headed};
 use super::{Clean, Core};
 
 /// The knob of the Madgwick filter.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct MadgwickParams {
     /// Speed of the pull towards the measured directions, radians per second of quaternion; 0.005 to 1. Large: follows
     /// acceleration. Small: follows gyroscope bias. Default 0.12.

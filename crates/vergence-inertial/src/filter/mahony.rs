@@ -5,7 +5,8 @@ use super::turn::{from_directions, headed};
 use super::{Clean, Core};
 
 /// Knobs of the Mahony filter.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct MahonyParams {
     /// Proportional gain, 1/s; 0.05 to 10. Large: follows acceleration. Small: follows gyroscope bias. Default 0.74.
     pub kp: f64,

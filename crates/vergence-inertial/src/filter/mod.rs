@@ -16,6 +16,7 @@ mod madgwick;
 mod mahony;
 mod offline;
 mod saved;
+mod settings;
 pub mod turn;
 mod vergence;
 mod vqf;
@@ -29,6 +30,7 @@ pub use madgwick::{Madgwick, MadgwickParams};
 pub use mahony::{Mahony, MahonyParams};
 pub use offline::offline;
 pub use saved::Saved;
+pub use settings::{Params, read_params};
 pub use vergence::{Vergence, VergenceCoefficients, VergenceParams, VergenceState};
 pub use vqf::{Vqf, VqfCoefficients, VqfParams, VqfState};
 

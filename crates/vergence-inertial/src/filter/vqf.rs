@@ -6,7 +6,8 @@ use super::turn::{headed, level, renormalised, turn, wrapped};
 use super::{Clean, Core};
 
 /// Knobs of VQF, with the names and defaults of its authors.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct VqfParams {
     /// Time constant of the accelerometer's low-pass, seconds; 0.5 to 30. Default 3.
     pub tau_acc_s: f64,
@@ -93,6 +94,12 @@ impl VqfParams {
     /// The filter only.
     pub const BASIC: Self =
         Self { motion_bias: false, rest_bias: false, magnetic_rejection: false, ..Self::FULL };
+}
+
+impl Default for VqfParams {
+    fn default() -> Self {
+        Self::FULL
+    }
 }
 
 /// What follows from the knobs and the period.

@@ -18,11 +18,17 @@ pub struct Args {
     /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz), or EuRoC's imu0 (its folder or data.csv)
     input: PathBuf,
     /// The filter
-    #[arg(long, default_value = "vqf")]
+    #[arg(long, default_value = "vergence")]
     filter: Name,
     /// Sensors to read: 6 is gyroscope and accelerometer, 9 also the magnetometer
     #[arg(long, default_value = "9", value_parser = ["6", "9"])]
     axes: String,
+    /// Looks ahead: each orientation from the whole recording (for the filter vergence)
+    #[arg(long)]
+    offline: bool,
+    /// Parameters of the filter: TOML, one key for each knob as in the documentation of vergence-inertial
+    #[arg(long, value_name = "FILE.toml")]
+    config: Option<PathBuf>,
     /// Where to write `t_s,qw,qx,qy,qz`: rotations of sensor-frame vectors into the earth frame, ENU
     #[arg(short, long)]
     out: PathBuf,
@@ -66,9 +72,26 @@ impl Args {
             )));
         }
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
-        let mut filter = self.filter.0.filter(axes, period);
+        let called = |error: vergence_inertial::Error| Failure::call(&error);
+        let mut filter = match &self.config {
+            Some(config) => self.filter.0.configured(axes, period, config).map_err(called)?,
+            None => self.filter.0.filter(axes, period),
+        };
+        if self.offline && self.filter.0 != Kind::Vergence {
+            return Err(Failure::Call(format!(
+                "expected --filter vergence with --offline, found {}",
+                self.filter.0.name()
+            )));
+        }
         let started = Instant::now();
-        let orientations = filter::run(filter.as_mut(), &recording.samples);
+        let orientations = if self.offline {
+            let params = self.config.as_deref().map(filter::read_params).transpose().map_err(called)?;
+            // What is rejected does not depend on the direction: the causal filter counts it.
+            filter::run(filter.as_mut(), &recording.samples);
+            filter::offline(params.unwrap_or_default(), axes, period, &recording.samples)
+        } else {
+            filter::run(filter.as_mut(), &recording.samples)
+        };
         let ns_per_sample = started.elapsed().as_nanos() as f64 / recording.samples.len() as f64;
         let out = |error: std::io::Error| Failure::Work(format!("{}: {error}", self.out.display()));
         let times = recording.samples.iter().map(|(at, _)| *at);

@@ -1,7 +1,8 @@
 use crate::filter::low_pass::LowPassCoefficients;
 
 /// Knobs of `vergence`. Costs are those of one sample and are all alike: the knobs are numbers, not steps.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct VergenceParams {
     /// How far readings lag behind the motion (low-pass in the sensor, transport), seconds; 0 to 0.02. The orientation given
     /// is turned on by as much. Wrong by 1 ms: 0.3° at 300°/s. Default 0.00405, what the recorded units have; their eight
