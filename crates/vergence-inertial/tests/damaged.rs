@@ -81,6 +81,8 @@ fn a_missing_file_is_named() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
     #[test]
     fn damaged_bytes_never_panic(at in 0usize..20_000, byte in any::<u8>(), cut in any::<bool>()) {
         let mut bytes = compressed();

@@ -117,10 +117,13 @@ impl Twin {
         // Rest: the low-passed readings, and how far the readings are from them.
         self.rest_gyr = Vector3::from(each(&mut self.rest_gyr_low, |i| gyr[i]));
         let rest_acc = Vector3::from(each(&mut self.rest_acc_low, |i| acc[i]));
-        let still = (gyr - self.rest_gyr).norm() < p.rest_gyr_deg_s.to_radians()
-            && self.rest_gyr.amax() <= clip
-            && (acc - rest_acc).norm() < p.rest_acc_m_s2;
-        self.rest_t = if still { self.rest_t + ts } else { 0.0 };
+        let turns =
+            (gyr - self.rest_gyr).norm() >= p.rest_gyr_deg_s.to_radians() || self.rest_gyr.amax() > clip;
+        if turns {
+            self.rest_t = 0.0;
+        }
+        // The accelerometer comes after the gyroscope and counts its own sample, as in the original.
+        self.rest_t = if (acc - rest_acc).norm() < p.rest_acc_m_s2 { self.rest_t + ts } else { 0.0 };
         let at_rest = self.rest_t >= p.rest_min_s;
 
         // Strapdown integration.

@@ -3,6 +3,7 @@
 mod calibrate;
 mod compare;
 mod eval;
+mod input;
 mod noise;
 mod predict;
 mod run;

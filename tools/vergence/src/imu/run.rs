@@ -8,15 +8,20 @@ use std::time::Instant;
 use clap::ValueEnum;
 use serde_json::json;
 use vergence_inertial::filter::{self, Axes, Kind};
-use vergence_inertial::{Recording, write_orientations};
+use vergence_inertial::write_orientations;
 
+use super::input;
 use crate::failure::Failure;
 
 /// Runs an orientation filter over a recording and writes an orientation for each sample
 #[derive(clap::Args)]
 pub struct Args {
-    /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz), or EuRoC's imu0 (its folder or data.csv)
+    /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz), EuRoC's imu0 (its folder or data.csv),
+    /// or a session's log (.mcap)
     input: PathBuf,
+    /// The stream of a session's log; by default its only inertial unit
+    #[arg(long)]
+    stream: Option<String>,
     /// The filter
     #[arg(long, default_value = "vergence")]
     filter: Name,
@@ -63,7 +68,7 @@ impl ValueEnum for Name {
 impl Args {
     /// Reads, filters, writes.
     pub fn run(self) -> Result<(), Failure> {
-        let recording = Recording::read(&self.input).map_err(|error| Failure::work(&error))?;
+        let recording = input::read(&self.input, self.stream.as_deref())?;
         let axes = if self.axes == "6" { Axes::Six } else { Axes::Nine };
         if axes == Axes::Nine && !recording.has_mag() {
             return Err(Failure::Call(format!(

@@ -33,6 +33,8 @@ pub struct VergenceState {
     rest_acc_low: LowPass<3>,
     rest_s: f64,
     rested: bool,
+    /// Whether up has been seen since the start or the last loss.
+    started: bool,
     samples: f64,
     /// Samples of the window that had a specific force.
     tilted: f64,
@@ -52,6 +54,7 @@ saved!(VergenceState {
     rest_acc_low,
     rest_s,
     rested,
+    started,
     samples,
     tilted,
     tilt_window,
@@ -91,6 +94,7 @@ impl Vergence {
             rest_acc_low: LowPass::default(),
             rest_s: 0.0,
             rested: true,
+            started: false,
             samples: 0.0,
             tilted: 0.0,
             tilt_window: TiltWindow::default(),
@@ -99,7 +103,7 @@ impl Vergence {
         Self { params, coefficients, state }
     }
 
-    /// A filter with other parameters that starts with what this one learned about the sensors; with `backwards`, for the same
+    /// A filter with other parameters that starts with what this one learned about the gyroscope; with `backwards`, for the same
     /// recording from its end.
     pub(crate) fn learned(&self, params: VergenceParams, backwards: bool) -> Self {
         let mut next = Self::new(params, self.coefficients.period_s);
@@ -110,8 +114,7 @@ impl Vergence {
             s.rates = self.state.rates.clone();
             s.rates.lost(0.0, &next.coefficients);
         }
-        s.field = self.state.field.clone();
-        s.field.lost();
+        // Not the field: whatever misled it is met from the other side with an open mind.
         next
     }
 
@@ -163,7 +166,8 @@ impl Core for Vergence {
     #[inline]
     fn step(&mut self, sample: &Clean) {
         let (s, c) = (&mut self.state, &self.coefficients);
-        let rate = s.rates.corrected(&sample.gyr_rad_s);
+        let unbiased = s.rates.unbiased(&sample.gyr_rad_s);
+        let rate = s.rates.corrected(&unbiased);
         s.rate = rate;
         s.inertial_from_sensor =
             renormalised(s.inertial_from_sensor.into_inner() * turn(&(rate * sample.step_s)));
@@ -177,7 +181,7 @@ impl Core for Vergence {
             }
             return;
         };
-        let acc_now = caught_up(acc, &rate, self.params.acc_lag_s);
+        let acc_now = caught_up(acc, &rate, c.acc_lag_s);
         let acc_inertial = inertial * acc_now;
         let mean = s.acc_low.step(&acc_inertial, &c.acc);
         let up = s.level_from_inertial * mean;
@@ -187,14 +191,13 @@ impl Core for Vergence {
             s.level_from_inertial = renormalised(level(&up) * s.level_from_inertial.into_inner());
             let level = s.level_from_inertial.to_rotation_matrix();
             let r = (level * inertial).into_inner();
-            s.tilt_window.add(&r, &sample.gyr_rad_s, &up, &(level * acc_inertial));
+            // The first one is no correction, but where it all starts.
+            let up = if s.started { up } else { Vector3::z() };
+            s.started = true;
+            s.tilt_window.add(&r, &unbiased, &up, &(level * acc_inertial));
             s.tilted += 1.0;
             if let Some(mag) = &sample.mag_ut {
-                s.field_window.add(
-                    &r,
-                    &caught_up(mag, &rate, self.params.mag_lag_s),
-                    sample.gyr_rad_s.norm(),
-                );
+                s.field_window.add(&r, &caught_up(mag, &rate, c.mag_lag_s), rate.norm());
             }
         }
         let gyr_mean = self.rest(&sample.gyr_rad_s, acc);
@@ -210,6 +213,7 @@ impl Core for Vergence {
         s.rest_acc_low = LowPass::default();
         s.rest_s = 0.0;
         s.rested = false;
+        s.started = false;
         s.samples = 0.0;
         s.tilted = 0.0;
         s.tilt_window = TiltWindow::default();

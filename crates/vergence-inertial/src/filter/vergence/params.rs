@@ -8,9 +8,9 @@ pub struct VergenceParams {
     /// is turned on by as much. Wrong by 1 ms: 0.3° at 300°/s. Default 0.00405, what the recorded units have; their eight
     /// recordings agree to 0.2 ms.
     pub latency_s: f64,
-    /// How much later the accelerometer reads than the gyroscope, seconds; −0.01 to 0.01. Default 0.002.
+    /// How much later the accelerometer reads than the gyroscope, seconds; −0.01 to 0.01. Default 0.0004.
     pub acc_lag_s: f64,
-    /// How much later the magnetometer reads than the gyroscope, seconds; −0.02 to 0.02. Default 0.007.
+    /// How much later the magnetometer reads than the gyroscope, seconds; −0.02 to 0.02. Default 0.005.
     pub mag_lag_s: f64,
     /// Time constant of the accelerometer's low-pass in the inertial frame, seconds; 1 to 10. Small: acceleration of the
     /// sensor tilts the estimate. Large: gyroscope errors do. Default 3.
@@ -18,19 +18,20 @@ pub struct VergenceParams {
     /// Window over which observations are gathered before the calibration is corrected, seconds; 0.02 to 0.5. Small: costs
     /// more. Large: reacts late. Default 0.1.
     pub window_s: f64,
-    /// Standard deviation of the bias at the start, degrees per second; 0.05 to 5. Default 0.5.
+    /// Standard deviation of the bias at the start, degrees per second; 0.05 to 5. Default 1.
     pub bias_sigma_deg_s: f64,
     /// Largest bias, degrees per second; also the largest mean rate that counts as rest. Default 2.
     pub bias_limit_deg_s: f64,
     /// How much the bias wanders within 100 s, degrees per second; 0.005 to 0.2. Default 0.08.
     pub bias_wander_deg_s: f64,
-    /// Standard deviation of the gyroscope's scale factors at the start; 0 to 0.03 (0: not estimated). Default 0.0045.
-    pub scale_sigma: f64,
-    /// The same for its cross-axis factors, radians; 0 to 0.03 (0: not estimated). Default 0.009.
-    pub cross_sigma: f64,
+    /// Standard deviation of the gyroscope's scale and cross-axis factors at the start; 0 to 0.03 (0: not estimated). One for
+    /// all nine, so that the frame of the sensor does not matter. Default 0.006.
+    pub factor_sigma: f64,
     /// Noise of the rate seen in the tilt's correction in motion, degrees per second over one second; 0.1 to 3. Small: learns
-    /// fast and follows acceleration. Default 0.4.
+    /// fast and follows acceleration. Default 0.35.
     pub tilt_noise_deg_s: f64,
+    /// The most that one window's deviation counts for, degrees per second; 0.3 to 10. Default 1.
+    pub tilt_outlier_deg_s: f64,
     /// How much the variance of that noise grows with the square of the horizontal acceleration, s⁴/m²; 0 to 1. Default 0.006.
     pub tilt_noise_per_acc: f64,
     /// Noise of the mean rate at rest, degrees per second over one second; 0.001 to 0.1. Default 0.004.
@@ -66,16 +67,16 @@ impl Default for VergenceParams {
     fn default() -> Self {
         Self {
             latency_s: 0.00405,
-            acc_lag_s: 0.002,
-            mag_lag_s: 0.007,
+            acc_lag_s: 0.0004,
+            mag_lag_s: 0.005,
             tau_acc_s: 3.0,
             window_s: 0.1,
-            bias_sigma_deg_s: 0.5,
+            bias_sigma_deg_s: 1.0,
             bias_limit_deg_s: 2.0,
             bias_wander_deg_s: 0.08,
-            scale_sigma: 0.0045,
-            cross_sigma: 0.009,
-            tilt_noise_deg_s: 0.4,
+            factor_sigma: 0.006,
+            tilt_noise_deg_s: 0.35,
+            tilt_outlier_deg_s: 1.0,
             tilt_noise_per_acc: 0.006,
             rest_noise_deg_s: 0.004,
             rest_min_s: 1.5,
@@ -101,6 +102,9 @@ pub struct VergenceCoefficients {
     pub(super) period_s: f64,
     /// From the middle of a sample's step to now.
     pub(super) ahead_s: f64,
+    /// From the orientation to the reading that belongs to it.
+    pub(super) acc_lag_s: f64,
+    pub(super) mag_lag_s: f64,
     /// Samples per window.
     pub(super) window: f64,
     pub(super) window_s: f64,
@@ -114,6 +118,7 @@ pub struct VergenceCoefficients {
     pub(super) bias_limit: f64,
     pub(super) bias_wander: f64,
     pub(super) tilt_r: f64,
+    pub(super) tilt_most: f64,
     pub(super) rest_r: f64,
     pub(super) field_r: f64,
     pub(super) outlier_squared: f64,
@@ -131,6 +136,8 @@ impl VergenceCoefficients {
             period_s,
             // A step is turned by the newest rate, half a period ahead of the mean of the two ends.
             ahead_s: params.latency_s - 0.5 * period_s,
+            acc_lag_s: params.acc_lag_s + 0.5 * period_s,
+            mag_lag_s: params.mag_lag_s + 0.5 * period_s,
             window,
             window_s,
             acc: LowPassCoefficients::new(params.tau_acc_s, period_s),
@@ -142,6 +149,7 @@ impl VergenceCoefficients {
             bias_limit: params.bias_limit_deg_s.to_radians(),
             bias_wander: square_rad(params.bias_wander_deg_s) / 100.0 * window_s,
             tilt_r: square_rad(params.tilt_noise_deg_s) / window_s,
+            tilt_most: params.tilt_outlier_deg_s.to_radians(),
             rest_r: square_rad(params.rest_noise_deg_s) / window_s,
             field_r: params.field_noise_ut.powi(2) / window_s,
             outlier_squared: params.field_outlier_ut.powi(2),

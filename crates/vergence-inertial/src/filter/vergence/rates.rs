@@ -1,17 +1,21 @@
 //! Errors of the gyroscope, learned from what they tilt.
 
-use nalgebra::{Matrix3, SVector, Vector3};
+use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
 use super::params::{VergenceCoefficients, VergenceParams};
 use crate::filter::kalman::Estimate;
 use crate::filter::low_pass::LowPass;
 use crate::filter::saved::saved;
 
-/// Bias (3), then scale and cross-axis factors (9, row by row): the true rate is `w − b − M w`.
+/// Bias (3), then scale and cross-axis factors (9, row by row): the true rate is `(1 − M)(w − b)`, so that a bias more changes
+/// nothing else.
 const N: usize = 12;
 
 /// Largest scale or cross-axis factor: worse gyroscopes are broken.
 const FACTOR_LIMIT: f64 = 0.05;
+
+/// The rate below which a sample says nothing about factors, radians per second: larger than any bias.
+const LEAST_TURN: f64 = 3.0 * std::f64::consts::PI / 180.0;
 
 /// How much the factors wander, per second (variance): 0.1 % in half an hour.
 const FACTOR_WANDER: f64 = 1e-6 / 1800.0;
@@ -20,7 +24,7 @@ const FACTOR_WANDER: f64 = 1e-6 / 1800.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rates {
     pub(super) estimate: Estimate<N>,
-    /// The identity plus `M`, as it is applied.
+    /// The identity minus `M`, as it is applied.
     correction: Matrix3<f64>,
     rows: LowPass<24>,
     seen: LowPass<2>,
@@ -33,10 +37,10 @@ saved!(Rates { estimate, correction, rows, seen });
 pub struct TiltWindow {
     /// Sum over samples of the level frame's first two rows, 3 each.
     level: SVector<f64, 6>,
-    /// Sum of the same times each component of the rate: x row (9), y row (9).
+    /// Sum of the same times each component of the rate without its bias: x row (9), y row (9).
     turned: SVector<f64, 18>,
     /// Sum of the corrections of the tilt, radians.
-    correction: nalgebra::Vector2<f64>,
+    correction: Vector2<f64>,
     /// Sum of the squared horizontal acceleration.
     acc_squared: f64,
 }
@@ -48,16 +52,20 @@ impl TiltWindow {
     pub(super) fn add(
         &mut self,
         r: &Matrix3<f64>,
-        gyr: &Vector3<f64>,
+        unbiased: &Vector3<f64>,
         up: &Vector3<f64>,
         acc_level: &Vector3<f64>,
     ) {
+        // A rate that may be nothing but bias says nothing about factors.
+        let turns = unbiased.norm_squared() > LEAST_TURN * LEAST_TURN;
         for i in 0..2 {
             for j in 0..3 {
                 let a = r[(i, j)];
                 self.level[3 * i + j] += a;
-                for k in 0..3 {
-                    self.turned[9 * i + 3 * j + k] += a * gyr[k];
+                if turns {
+                    for k in 0..3 {
+                        self.turned[9 * i + 3 * j + k] += a * unbiased[k];
+                    }
                 }
             }
         }
@@ -83,7 +91,7 @@ impl Rates {
             p[i] = c.bias_p;
         }
         for i in 0..9 {
-            p[3 + i] = (if i % 4 == 0 { params.scale_sigma } else { params.cross_sigma }).powi(2);
+            p[3 + i] = params.factor_sigma.powi(2);
         }
         Self {
             estimate: Estimate { x: SVector::zeros(), p: nalgebra::SMatrix::from_diagonal(&p) },
@@ -98,10 +106,16 @@ impl Rates {
         self.estimate.x.fixed_rows::<3>(0).into_owned()
     }
 
-    /// The rate without its known errors.
+    /// The rate without its bias.
     #[inline]
-    pub(super) fn corrected(&self, gyr: &Vector3<f64>) -> Vector3<f64> {
-        self.correction * gyr - self.bias()
+    pub(super) fn unbiased(&self, gyr: &Vector3<f64>) -> Vector3<f64> {
+        gyr - self.bias()
+    }
+
+    /// The rate without its bias, without its other known errors.
+    #[inline]
+    pub(super) fn corrected(&self, unbiased: &Vector3<f64>) -> Vector3<f64> {
+        self.correction * unbiased
     }
 
     /// Learns from one window in which the sensor `rested` with the mean rate `mean`, or moved.
@@ -116,7 +130,7 @@ impl Rates {
         let rows = window.rows(c.window);
         let e = &mut self.estimate;
         let expected = |axis: usize| rows.fixed_rows::<N>(N * axis).dot(&e.x);
-        let seen = self.seen.step(&nalgebra::Vector2::new(expected(0), expected(1)), &c.windows);
+        let seen = self.seen.step(&Vector2::new(expected(0), expected(1)), &c.windows);
         let rows = self.rows.step(&rows, &c.windows);
         for i in 0..3 {
             e.widen(i, c.bias_wander, c.bias_p);
@@ -134,10 +148,14 @@ impl Rates {
             }
         } else {
             let r = c.tilt_r * (1.0 + params.tilt_noise_per_acc * window.acc_squared / c.window);
-            for i in 0..2 {
-                // What was taken out already, plus what is left: the rate of the tilt's correction.
-                let y = seen[i] + window.correction[i] / c.window_s;
-                e.observe(&rows.fixed_rows::<N>(N * i).into_owned(), y, r);
+            let rows = [0, 1].map(|i| rows.fixed_rows::<N>(N * i).into_owned());
+            let predicted = Vector2::new(rows[0].dot(&e.x), rows[1].dot(&e.x));
+            // What was taken out already, plus what is left: the rate of the tilt's correction.
+            let deviation = seen + window.correction / c.window_s - predicted;
+            // Cut as a vector: the heading of the level frame, which is any, must not matter.
+            let observed = predicted + deviation * (c.tilt_most / deviation.norm().max(c.tilt_most));
+            for (row, y) in rows.iter().zip(observed.iter()) {
+                e.observe(row, *y, r);
             }
         }
         for i in 0..N {
