@@ -26,7 +26,7 @@ pub struct Header {
     pub clock: String,
     /// Where the scene was found.
     pub scene_path: String,
-    /// Hash of its content, with the name of the hash in front: `sha256:…`.
+    /// Hash of its content, with the name of the hash in front: `blake3:…`.
     pub scene_hash: String,
     /// The resolved configuration, as TOML or JSON.
     pub configuration: String,

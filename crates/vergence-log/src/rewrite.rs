@@ -33,10 +33,11 @@ impl Rewriter {
         if sources.iter().any(|source| same(source, goal)) {
             return Err(Error::Request(format!("{}: expected another file to write to", goal.display())));
         }
+        // A name that nobody has, so that nothing of anybody's is written over: a source may be what an earlier call left.
         let mut name = goal.as_os_str().to_owned();
-        name.push(".part");
+        name.push(format!(".{}.part", std::process::id()));
         let beside = PathBuf::from(name);
-        let file = File::create(&beside).map_err(|error| Error::create(goal, error))?;
+        let file = File::create_new(&beside).map_err(|error| Error::create(&beside, error))?;
         let sink = BufWriter::with_capacity(256 << 10, file);
         let mcap = write_options(Compression::Zstd, Some(1 << 20)).create(sink);
         let mcap = mcap.map_err(|error| write_error(goal, error))?;
@@ -155,6 +156,9 @@ impl Rewriter {
     pub(crate) fn finish(mut self) -> Result<(), Error> {
         let finished = self.mcap.finish();
         self.check(finished)?;
+        // The new name must not reach the disk before what it names.
+        let synced = File::open(&self.beside).and_then(|file| file.sync_all());
+        synced.map_err(|error| Error::create(&self.goal, error))?;
         std::fs::rename(&self.beside, &self.goal).map_err(|error| Error::create(&self.goal, error))?;
         self.done = true;
         Ok(())

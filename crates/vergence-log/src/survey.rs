@@ -332,7 +332,9 @@ fn watch(stream: &mut Watched, entry: &Entry<'_>, findings: &mut Findings) -> Op
     if let Some(next) = stream.next.filter(|_| entry.stream.metadata.contains_key("type")) {
         let ahead = entry.sequence.wrapping_sub(next);
         if ahead > u32::MAX / 2 {
-            findings.add("sequence", name, place, || format!("number {} after {}", entry.sequence, next - 1));
+            findings.add("sequence", name, place, || {
+                format!("number {} after {}", entry.sequence, next.wrapping_sub(1))
+            });
         } else if ahead > 0 {
             stream.missing += u64::from(ahead);
             findings.add("sequence", name, place, || {

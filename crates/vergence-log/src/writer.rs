@@ -4,6 +4,8 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
+#[cfg(unix)]
+use std::os::unix::fs::FileTypeExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -147,6 +149,12 @@ impl Writer {
         inbox: Receiver<Command>,
     ) -> Result<Self, Error> {
         let refused = |error: std::io::Error| Error::create(path, error);
+        // To open a pipe waits for somebody to read it.
+        #[cfg(unix)]
+        if std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo()) {
+            let found = "expected a file to write to, found a pipe, which cannot be read from its end";
+            return Err(refused(std::io::Error::new(std::io::ErrorKind::InvalidInput, found)));
+        }
         let file = File::create(path).map_err(refused)?;
         let sink = Sink::new(file.try_clone().map_err(refused)?);
         let quiet = sink.quiet();
@@ -219,6 +227,8 @@ impl Writer {
         if dropped > self.told {
             self.say("dropped", "", f64::NAN, (dropped - self.told) as f64)?;
         }
+        // The last chunk is good before the summary is begun: a disk that is full then loses the summary only.
+        self.flush()?;
         self.mcap.finish()?;
         if self.options.durable {
             self.file.sync_all()?;

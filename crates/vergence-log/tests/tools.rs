@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 use vergence_log::{
-    Error, Header, Options, Part, Reader, Recorder, StreamDesc, Survey, Times, cut, diff, merge,
+    Error, Header, Limits, Options, Part, Reader, Recorder, StreamDesc, Survey, Times, cut, diff, merge,
+    repair,
 };
 use vergence_sense::{Scalar, Vector2};
 use vergence_time::Timestamp;
@@ -142,4 +143,17 @@ fn a_difference_is_found_in_its_stream_and_host_time_is_none() {
     let short = compare(&short);
     let device = short.streams.iter().find(|stream| stream.name == "/device/x").unwrap();
     assert!(!short.equal && device.first_difference.as_ref().unwrap().sentence.contains("only the first"));
+}
+
+/// What an earlier call left half done is a source like any other: the result's name does not touch it.
+#[test]
+fn a_repair_leaves_its_source_alone_whatever_it_is_called() {
+    let dir = TempDir::new().unwrap();
+    let source = log(dir.path(), "a.mcap.part", same);
+    let before = std::fs::read(&source).unwrap();
+    let to = dir.path().join("a.mcap");
+    repair(&source, &to, Limits::default(), &mut |_, _| {}).unwrap();
+    assert_eq!(std::fs::read(&source).unwrap(), before);
+    assert!(to.exists());
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 2, "nothing else is left");
 }

@@ -233,6 +233,8 @@ pub fn replay(
     let run_config = RunConfig {
         headset: HeadsetChoice::Simulated,
         patience_s: f64::MAX,
+        // However long the recording's user was away, the runtime answers.
+        hang_s: f64::MAX,
         retries: log.resolved.retries,
         quality: log.resolved.quality.quality(),
         capture: config.capture.clone(),

@@ -1,5 +1,6 @@
 //! A run: from the plan to the report, through every loss that can be recovered from.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -132,6 +133,7 @@ fn whole(
     watch: &mut dyn FnMut(Happening<'_>),
 ) -> Result<(RunReport, Option<Comparison>), Error> {
     check(config)?;
+    check_recording(scene, config)?;
     let requests = Requests {
         normal_maps: config.quality.normal_maps,
         hand_joints: config.hand_joints,
@@ -162,6 +164,22 @@ fn whole(
     result?;
     written?;
     Ok((run.report, comparison))
+}
+
+/// What the run reads must not be what it writes.
+fn check_recording(scene: &Scene, config: &RunConfig) -> Result<(), Error> {
+    let Some(record) = &config.record else { return Ok(()) };
+    // What is not there yet is read by nobody.
+    let Ok(path) = record.path.canonicalize() else { return Ok(()) };
+    let read = [&config.motion, &config.profile].into_iter().flatten().map(PathBuf::from);
+    if scene.files.iter().cloned().chain(read).any(|file| file.canonicalize().is_ok_and(|file| file == path))
+    {
+        return Err(Error::Call(format!(
+            "--record {}: expected a file of its own, found one that this run reads",
+            record.path.display()
+        )));
+    }
+    Ok(())
 }
 
 fn check(config: &RunConfig) -> Result<(), Error> {

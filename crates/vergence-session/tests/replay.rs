@@ -248,9 +248,12 @@ fn a_recording_that_was_cut_off_goes_as_far_as_it_goes() {
     let config = bench.config(&script(2000, undrawn));
     run(&triangle(), &config, &mut |_| {}).unwrap();
     let whole = std::fs::read(&bench.log).unwrap();
-    for part in [0.5, 0.9] {
+    // From the first byte behind what makes it a log of a session, a chunk that is not whole: no frame is left.
+    let mut opened = 0;
+    for part in [0.1, 0.2, 0.3, 0.5, 0.9] {
         std::fs::write(&bench.log, &whole[..(whole.len() as f64 * part) as usize]).unwrap();
         let Ok(log) = SessionLog::open(&bench.log) else { continue };
+        opened += 1;
         let config = ReplayConfig { verify: true, ..ReplayConfig::default() };
         let report = replay(&log, &triangle(), &config, &mut |_| {}).unwrap();
         assert!(!report.complete, "{part}");
@@ -258,6 +261,12 @@ fn a_recording_that_was_cut_off_goes_as_far_as_it_goes() {
         assert_eq!((c.first_difference.as_ref(), c.frames), (None, c.frames_equal), "{part}");
         assert_eq!(report.run.state, "exiting", "{part}");
     }
+    assert!(opened >= 2, "{opened} of 5 opened");
+
+    // A recording does not write over what it reads.
+    let onto_itself = RunConfig { motion: Some(bench.log.to_str().unwrap().to_owned()), ..config };
+    let refused = run(&triangle(), &onto_itself, &mut |_| {}).unwrap_err();
+    assert!(refused.is_wrong_call() && refused.to_string().contains("a file of its own"), "{refused}");
 }
 
 /// So many replays as `VERGENCE_REPLAYS` says, by default fewer than a release asks for: nothing is drawn.

@@ -201,7 +201,11 @@ impl Session {
         inner.exiting = true;
         if inner.running {
             self.stop(inner);
-        } else if matches!(inner.state, sys::SessionState::READY | sys::SessionState::IDLE) {
+        } else if matches!(
+            inner.state,
+            // A session that is replayed from a log that ends early has not even become idle.
+            sys::SessionState::UNKNOWN | sys::SessionState::READY | sys::SessionState::IDLE
+        ) {
             self.enter(inner, sys::SessionState::IDLE);
             self.enter(inner, sys::SessionState::EXITING);
         }

@@ -279,7 +279,8 @@ impl RepairArgs {
                 "missing: what came after byte {at} ({} bytes there are no whole record)",
                 found.lost_bytes_at_end
             ),
-            None => println!("the log was complete"),
+            None if found.was_complete => println!("the log was complete"),
+            None => println!("the log was damaged: what is whole is kept"),
         }
         for place in &found.damaged {
             println!("damaged: {place}");

@@ -103,6 +103,9 @@ impl Args {
         } else {
             print!("{report}");
         }
+        if report.run.paced == 0 {
+            return Err(Failure::Work("the recording holds no frame: nothing was replayed".into()));
+        }
         match (&report.comparison.first_difference, report.run.validation_messages) {
             (Some(difference), _) => {
                 Err(Failure::Work(format!("the replay differs from the recording: {difference}")))

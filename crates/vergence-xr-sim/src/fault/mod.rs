@@ -1,7 +1,7 @@
 //! Faults: what a runtime may do to an application, done on purpose, at a chosen call.
 //!
 //! The border of the runtime asks here before every call. Which codes an entry point may return is read from the
-//! registry of OpenXR ([`registry`]); a fault that no conforming runtime could show is refused, but for the bad values,
+//! registry of OpenXR (`registry`); a fault that no conforming runtime could show is refused, but for the bad values,
 //! which runtimes have been seen to give.
 
 mod active;
