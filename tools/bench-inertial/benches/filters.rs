@@ -130,7 +130,7 @@ fn filters(criterion: &mut Criterion) {
                     } else {
                         filter.update_imu(&gyr, &acc).map(|_| ())
                     };
-                    black_box(filter.quat());
+                    black_box(filter.quat);
                 }
             });
         });

@@ -1,7 +1,7 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::saved::saved;
-use super::turn::{from_directions, headed};
+use super::turn::{enu_from_nwu, from_directions, headed};
 use super::{Clean, Core};
 
 /// The knob of the Madgwick filter.
@@ -99,7 +99,7 @@ impl Core for Madgwick {
 
     fn earth_from_sensor(&self) -> UnitQuaternion<f64> {
         match &self.state.nwu_from_sensor {
-            Some(q) => headed(std::f64::consts::FRAC_PI_2, q),
+            Some(q) => enu_from_nwu(q),
             None => UnitQuaternion::identity(),
         }
     }

@@ -46,6 +46,13 @@ pub fn headed(heading_rad: f64, earth: &UnitQuaternion<f64>) -> UnitQuaternion<f
     UnitQuaternion::new_unchecked(Quaternion::new(c, 0.0, 0.0, s) * earth.quaternion())
 }
 
+/// An orientation in the earth frame whose x is north and y is west as one in ENU: a quarter turn about +z.
+#[inline]
+pub fn enu_from_nwu(q: &UnitQuaternion<f64>) -> UnitQuaternion<f64> {
+    const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
+    UnitQuaternion::new_unchecked(Quaternion::new(q.w - q.k, q.i - q.j, q.j + q.i, q.k + q.w) * HALF)
+}
+
 /// `angle_rad` brought into −π…π; for angles within a few turns.
 #[inline]
 pub fn wrapped(angle_rad: f64) -> f64 {
@@ -84,6 +91,13 @@ mod tests {
             let off = (turn(&(axis * angle)) - expected.quaternion()).norm();
             assert!(off <= LAST_BITS, "{angle}: {off}");
         }
+    }
+
+    #[test]
+    fn north_becomes_y() {
+        let q = UnitQuaternion::from_euler_angles(0.3, -0.2, 0.9);
+        let expected = headed(std::f64::consts::FRAC_PI_2, &q);
+        assert!((enu_from_nwu(&q).coords - expected.coords).norm() < LAST_BITS);
     }
 
     #[test]
