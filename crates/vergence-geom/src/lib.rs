@@ -32,6 +32,12 @@ pub use rotation::{
 /// A rigid transform: rotation (unit Hamilton quaternion, stored x y z w) and translation in metres.
 pub type Rigid = nalgebra::Isometry3<f64>;
 
+/// A rigid transform as files write it: translation x, y, z in metres, then the quaternion x, y, z, w.
+pub fn components(a_from_b: &Rigid) -> [f64; 7] {
+    let (t, q) = (a_from_b.translation.vector, a_from_b.rotation.coords);
+    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
 /// One eye of one frame: where it is and what it sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {

@@ -6,12 +6,13 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
+use vergence_geom::components;
 use vergence_time::Timestamp;
 use vergence_xr_sim::ComposedFrame;
 
 use crate::config::CaptureConfig;
 use crate::error::Error;
-use crate::pose_log::{PoseLog, four, seven};
+use crate::pose_log::{PoseLog, four};
 use crate::report::RunReport;
 
 /// Runs of up to so many frames are captured in full where nothing else is said.
@@ -172,11 +173,11 @@ fn picture_of(composed: ComposedFrame, before: u64) -> Picture {
         frame: before + composed.number,
         display: composed.display_time,
         size: composed.size,
-        head: Some(seven(&composed.local_from_head)),
+        head: Some(components(&composed.local_from_head)),
         eyes: composed
             .eyes
             .into_iter()
-            .map(|eye| (seven(&eye.view_in_local.world_from_eye), four(&eye.view_in_local), eye.rgba))
+            .map(|eye| (components(&eye.view_in_local.world_from_eye), four(&eye.view_in_local), eye.rgba))
             .collect(),
     }
 }

@@ -518,7 +518,7 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
     }
     if let Some(log) = &mut run.pose_log {
         let eyes = (0..shown.views().len()).filter_map(|view| shown.as_said(view));
-        let head = head.as_ref().map(crate::pose_log::seven);
+        let head = head.as_ref().map(vergence_geom::components);
         log.write(number, display, head, eyes.map(|(pose, fov)| (pose.map(f64::from), fov.map(f64::from))))?;
     }
     (run.watch)(Happening::Frame { shown: run.tally.frames, seconds: run.tally.elapsed().as_secs_f64() });
@@ -649,7 +649,7 @@ fn photograph(
         frame: number,
         display: frame.prediction.display,
         size: image.size(0),
-        head: head.map(crate::pose_log::seven),
+        head: head.map(vergence_geom::components),
         eyes,
     });
     Ok(())

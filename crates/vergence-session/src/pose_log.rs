@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use vergence_geom::{Rigid, View};
+use vergence_geom::View;
 use vergence_time::Timestamp;
 
 use crate::Error;
@@ -14,12 +14,6 @@ use crate::Error;
 pub(crate) struct PoseLog {
     path: PathBuf,
     file: BufWriter<File>,
-}
-
-/// x, y, z and the quaternion x, y, z, w.
-pub(crate) fn seven(pose: &Rigid) -> [f64; 7] {
-    let (p, q) = (pose.translation.vector, pose.rotation.coords);
-    [p.x, p.y, p.z, q.x, q.y, q.z, q.w]
 }
 
 /// Left, right, up, down.

@@ -2,13 +2,12 @@
 
 use nalgebra::{Point2, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
-use vergence_geom::{Fov, Rigid};
+use vergence_geom::{Fov, Rigid, components};
 use vergence_render::Quality;
 use vergence_xr_sim::Profile;
 use vergence_xr_sim::headset::Eye;
 
 use crate::config::RunConfig;
-use crate::pose_log::seven;
 
 /// Everything that decides what a session is like, as JSON in the log's header. Numbers read back exactly.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -106,7 +105,7 @@ impl QualityRecord {
 impl From<&Profile> for ProfileRecord {
     fn from(profile: &Profile) -> Self {
         let eye = |eye: &Eye| EyeRecord {
-            head_from_eye: seven(&eye.head_from_eye),
+            head_from_eye: components(&eye.head_from_eye),
             fov_rad: [eye.fov.left_rad, eye.fov.right_rad, eye.fov.up_rad, eye.fov.down_rad],
             visible: eye.visible.iter().map(|point| [point.x, point.y]).collect(),
         };

@@ -5,7 +5,7 @@ use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use vergence_geom::Rigid;
+use vergence_geom::components;
 use vergence_xr_sim::{Capture, ComposedFrame};
 
 use crate::Error;
@@ -54,7 +54,7 @@ fn write(folder: &Path, poses: &mut File, frame: &ComposedFrame) -> std::io::Res
         .map(|eye| {
             let fov = eye.view_in_local.fov;
             serde_json::json!({
-                "pose": seven(&eye.view_in_local.world_from_eye),
+                "pose": components(&eye.view_in_local.world_from_eye),
                 "fov": [fov.left_rad, fov.right_rad, fov.up_rad, fov.down_rad],
             })
         })
@@ -64,15 +64,9 @@ fn write(folder: &Path, poses: &mut File, frame: &ComposedFrame) -> std::io::Res
         "display_ns": frame.display_time.as_nanos(),
         "file": file,
         "size": [width, height],
-        "head": seven(&frame.local_from_head),
+        "head": components(&frame.local_from_head),
         "eyes": eyes,
     });
     // In one piece: the process may be killed between two of them.
     poses.write_all(format!("{line}\n").as_bytes())
-}
-
-/// x y z and the quaternion x y z w.
-fn seven(pose: &Rigid) -> [f64; 7] {
-    let (t, q) = (pose.translation.vector, pose.rotation.coords);
-    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
 }
