@@ -6,12 +6,15 @@
 
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod stage;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 
+use stage::has_vulkan;
 use vergence_geom::{Affine, Rigid};
 use vergence_scene::Scene;
 use vergence_scene::model::{Local, Material, Mesh, Node, Primitive, Shading, Touchable};
@@ -136,22 +139,6 @@ fn floor() -> Arc<Scene> {
         touchables: vec![Touchable { name: "floor".into(), node: 0 }],
         ..Scene::default()
     })
-}
-
-fn has_vulkan() -> bool {
-    let required =
-        std::env::var("VERGENCE_REQUIRE").unwrap_or_default().split(',').any(|r| r.trim() == "vulkan");
-    let instance = vergence_gpu::Instance::new(&vergence_gpu::InstanceDesc::default(), None);
-    let device =
-        instance.and_then(|i| vergence_gpu::Device::new(&i, &vergence_gpu::DeviceDesc::default(), None));
-    match device {
-        Ok(_) => true,
-        Err(error) if required => panic!("VERGENCE_REQUIRE names vulkan, but: {error}"),
-        Err(error) => {
-            println!("skipped: no Vulkan device ({error})");
-            false
-        }
-    }
 }
 
 /// The smallest headset.

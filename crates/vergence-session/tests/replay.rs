@@ -3,11 +3,14 @@
 #![allow(unsafe_code, reason = "an allocator that counts is an unsafe trait")]
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod stage;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use stage::has_vulkan;
 use vergence_geom::{Affine, Rigid};
 use vergence_scene::Scene;
 use vergence_scene::model::{Local, Material, Mesh, Node, Primitive, Shading, Touchable};
@@ -36,22 +39,6 @@ unsafe impl GlobalAlloc for Counting {
 
 #[global_allocator]
 static COUNTING: Counting = Counting;
-
-fn has_vulkan() -> bool {
-    let required =
-        std::env::var("VERGENCE_REQUIRE").unwrap_or_default().split(',').any(|r| r.trim() == "vulkan");
-    let instance = vergence_gpu::Instance::new(&vergence_gpu::InstanceDesc::default(), None);
-    let device =
-        instance.and_then(|i| vergence_gpu::Device::new(&i, &vergence_gpu::DeviceDesc::default(), None));
-    match device {
-        Ok(_) => true,
-        Err(error) if required => panic!("VERGENCE_REQUIRE names vulkan, but: {error}"),
-        Err(error) => {
-            println!("skipped: no Vulkan device ({error})");
-            false
-        }
-    }
-}
 
 /// A triangle that can be touched, ahead of the user.
 fn triangle() -> Arc<Scene> {
