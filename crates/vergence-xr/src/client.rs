@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use openxr::sys;
 use vergence_action::ActionSet;
-use vergence_geom::{Rigid, View};
-use vergence_gpu::{Device, ImageView, vk, vk::Handle as _};
+use vergence_geom::Rigid;
+use vergence_gpu::{Device, ImageView};
 use vergence_sense::{Body, Event, Gaze, Hand, HandJoints, Haptic, Pose, Said};
 use vergence_time::{Span, Timestamp};
 
@@ -17,20 +17,17 @@ use crate::convert;
 use crate::error::{Error, In, check};
 use crate::event::{self, Notice, Notices};
 use crate::hands::Hands;
+use crate::hidden_area::{HiddenArea, hidden_area};
 use crate::input::{Input, Reading};
 use crate::list::list;
 use crate::located::{Located, Viewpoints};
+use crate::opening::{Pictures, REFRESH_RATE, choose_pictures, choose_refresh_rate, create_session};
 use crate::runtime_clock::RuntimeClock;
 use crate::state::{Lifecycle, State, Step};
 use crate::swapchain::{Swapchain, SwapchainDesc};
 use crate::tap::{Ear, Tap, raw_location, raw_views};
 use crate::time_guard::{Prediction, TimeGuard};
 use crate::waiter::Waiter;
-
-/// Colour formats in the order in which they are liked; both store sRGB.
-const COLOR_FORMATS: [vk::Format; 2] = [vk::Format::R8G8B8A8_SRGB, vk::Format::B8G8R8A8_SRGB];
-/// Depth formats in the order in which they are liked.
-const DEPTH_FORMATS: [vk::Format; 1] = [vk::Format::D32_SFLOAT];
 
 /// What a session shall be.
 #[derive(Clone, Copy, Debug)]
@@ -69,19 +66,6 @@ impl<'a> SessionDesc<'a> {
     }
 }
 
-/// What the pictures of a session are like.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Pictures {
-    /// Format of the colour images.
-    pub color_format: vk::Format,
-    /// Format of the depth images; `None` where no depth is submitted.
-    pub depth_format: Option<vk::Format>,
-    /// Width and height of each view, pixels.
-    pub size: (u32, u32),
-    /// Number of views, one array layer each.
-    pub views: u32,
-}
-
 /// A frame that has been waited for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
@@ -98,15 +82,6 @@ pub struct Attachments {
     pub color: Arc<ImageView>,
     /// Reversed depth, where it is submitted.
     pub depth: Option<Arc<ImageView>>,
-}
-
-/// What the eyes never see of a picture: triangles on the plane one metre ahead (x right, y up).
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct HiddenArea {
-    /// Metres at distance 1: tangents of the angles from the axis.
-    pub vertices: Vec<[f32; 2]>,
-    /// Three per triangle.
-    pub indices: Vec<u32>,
 }
 
 /// A session on a headset.
@@ -691,158 +666,5 @@ impl Drop for Client {
         if let Err(error) = self.device.wait_idle() {
             log::warn!("{error}");
         }
-    }
-}
-
-/// More than any mask has.
-const MOST_MASK_ELEMENTS: u32 = 1_000_000;
-const REFRESH_RATE: &str = "XR_FB_display_refresh_rate";
-/// Rates nearer than this are one: 90 Hz is 89.9 on some displays.
-const SAME_RATE_HZ: f32 = 0.5;
-
-fn create_session(
-    connection: &Connection,
-    device: &Arc<Device>,
-) -> Result<(openxr::Session<openxr::Vulkan>, openxr::FrameWaiter), Error> {
-    let raw = device.raw();
-    let pointer = |handle: u64| handle as usize as *const std::ffi::c_void;
-    let info = openxr::vulkan::SessionCreateInfo {
-        instance: pointer(raw.instance.as_raw()),
-        physical_device: pointer(raw.physical_device.as_raw()),
-        device: pointer(raw.device.as_raw()),
-        queue_family_index: raw.queue_family,
-        queue_index: raw.queue_index,
-    };
-    // SAFETY: the handles are of a device that the runtime made (the caller's rule), and the guard keeps it alive until
-    // the session is destroyed.
-    let made = unsafe {
-        connection.instance.create_session_with_guard::<openxr::Vulkan>(
-            connection.system,
-            &info,
-            Box::new(Arc::clone(device)),
-        )
-    };
-    let (session, waiter, _stream) = made.during("xrCreateSession")?;
-    Ok((session, waiter))
-}
-
-fn choose_pictures(
-    connection: &Connection,
-    session: &openxr::Session<openxr::Vulkan>,
-    device: &Device,
-    desc: &SessionDesc<'_>,
-) -> Result<Pictures, Error> {
-    let enumerate = session.instance().fp().enumerate_swapchain_formats;
-    let offered = list("xrEnumerateSwapchainFormats", 0i64, |capacity, count, items| {
-        // SAFETY: the session lives; `items` is null or has `capacity` elements.
-        unsafe { enumerate(session.as_raw(), capacity, count, items) }
-    })?;
-    let choose = |liked: &[vk::Format]| {
-        liked.iter().copied().find(|format| offered.contains(&i64::from(format.as_raw())))
-    };
-    let color_format = choose(&COLOR_FORMATS).ok_or_else(|| Error::Unsupported {
-        what: "colour formats of swapchains",
-        expected: "R8G8B8A8_SRGB or B8G8R8A8_SRGB".into(),
-        found: format!("{:?}", offered.iter().map(|&f| vk::Format::from_raw(f as i32)).collect::<Vec<_>>()),
-    })?;
-    let depth_format =
-        if connection.has("XR_KHR_composition_layer_depth") { choose(&DEPTH_FORMATS) } else { None };
-    let largest_image = device.limits().max_image_size;
-    let scaled = |recommended: u32, largest: u32| {
-        let wanted = (f64::from(recommended) * desc.render_scale).round();
-        // A cast from f64 is held at the ends of u32; zero would be no picture.
-        (wanted as u32).clamp(1, largest.min(largest_image).max(1))
-    };
-    // All views share one image, so it must fit each of them.
-    let size = connection.views().iter().fold((1, 1), |(width, height), view| {
-        (
-            width.max(scaled(view.recommended.0, view.largest.0)),
-            height.max(scaled(view.recommended.1, view.largest.1)),
-        )
-    });
-    let views = u32::try_from(connection.views().len()).unwrap_or(1);
-    Ok(Pictures { color_format, depth_format, size, views })
-}
-
-/// Asks for a rate that the display has.
-fn choose_refresh_rate(
-    connection: &Connection,
-    session: &openxr::Session<openxr::Vulkan>,
-    wanted_hz: Option<f32>,
-) -> Result<(), Error> {
-    let Some(wanted_hz) = wanted_hz else { return Ok(()) };
-    let rates = if connection.has(REFRESH_RATE) {
-        session.enumerate_display_refresh_rates().during("xrEnumerateDisplayRefreshRatesFB")?
-    } else {
-        Vec::new()
-    };
-    let near = rates.iter().copied().find(|rate| (rate - wanted_hz).abs() <= SAME_RATE_HZ);
-    let Some(rate_hz) = near else {
-        let offered: Vec<String> = rates.iter().map(|rate| format!("{rate} Hz")).collect();
-        let offered =
-            if offered.is_empty() { "none, the runtime decides".into() } else { offered.join(", ") };
-        return Err(Error::RefreshRate { wanted_hz, offered });
-    };
-    session.request_display_refresh_rate(rate_hz).during("xrRequestDisplayRefreshRateFB")
-}
-
-/// What the eye of a view never sees; nothing where the runtime's mesh is none.
-fn hidden_area(
-    connection: &Connection,
-    session: &openxr::Session<openxr::Vulkan>,
-    view: u32,
-) -> Result<HiddenArea, Error> {
-    const CALL: &str = "xrGetVisibilityMaskKHR";
-    let Some(extension) = &session.instance().exts().khr_visibility_mask else {
-        return Ok(HiddenArea::default());
-    };
-    let mut mask = sys::VisibilityMaskKHR {
-        ty: sys::VisibilityMaskKHR::TYPE,
-        next: std::ptr::null_mut(),
-        vertex_capacity_input: 0,
-        vertex_count_output: 0,
-        vertices: std::ptr::null_mut(),
-        index_capacity_input: 0,
-        index_count_output: 0,
-        indices: std::ptr::null_mut(),
-    };
-    let kind = openxr::VisibilityMaskTypeKHR::HIDDEN_TRIANGLE_MESH;
-    let ask = |mask: &mut sys::VisibilityMaskKHR| {
-        // SAFETY: the session lives; the arrays are null or have as many elements as is said.
-        let result = unsafe {
-            (extension.get_visibility_mask)(session.as_raw(), connection.view_configuration, view, kind, mask)
-        };
-        check(CALL, result)
-    };
-    ask(&mut mask)?;
-    if mask.vertex_count_output.max(mask.index_count_output) > MOST_MASK_ELEMENTS {
-        log::warn!("the runtime's visibility mask of view {view} is too large; going on without it");
-        return Ok(HiddenArea::default());
-    }
-    let mut points = vec![openxr::Vector2f::default(); mask.vertex_count_output as usize];
-    let mut indices = vec![0u32; mask.index_count_output as usize];
-    if points.is_empty() || indices.is_empty() {
-        return Ok(HiddenArea::default());
-    }
-    (mask.vertex_capacity_input, mask.vertices) = (mask.vertex_count_output, points.as_mut_ptr());
-    (mask.index_capacity_input, mask.indices) = (mask.index_count_output, indices.as_mut_ptr());
-    ask(&mut mask)?;
-    points.truncate(mask.vertex_count_output as usize);
-    indices.truncate(mask.index_count_output as usize);
-    let vertices: Vec<[f32; 2]> = points.iter().map(|v| [v.x, v.y]).collect();
-    let is_sound = indices.len().is_multiple_of(3)
-        && indices.iter().all(|&index| (index as usize) < vertices.len())
-        && vertices.iter().flatten().all(|x| x.is_finite());
-    if !is_sound {
-        log::warn!("the runtime's visibility mask of view {view} is broken; going on without it");
-        return Ok(HiddenArea::default());
-    }
-    Ok(HiddenArea { vertices, indices })
-}
-
-/// The views of a frame in world coordinates.
-pub fn in_world(world_from_local: &Rigid, located: &Located, views: &mut [View]) {
-    for (view, local) in views.iter_mut().zip(located.views()) {
-        *view = View { world_from_eye: world_from_local * local.world_from_eye, fov: local.fov };
     }
 }

@@ -151,6 +151,13 @@ fn worse(a: Tracking, b: Tracking) -> Tracking {
     }
 }
 
+/// The views of a frame in world coordinates.
+pub fn in_world(world_from_local: &Rigid, located: &Located, views: &mut [View]) {
+    for (view, local) in views.iter_mut().zip(located.views()) {
+        *view = View { world_from_eye: world_from_local * local.world_from_eye, fov: local.fov };
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
