@@ -1,4 +1,4 @@
-//! Rotations, rigid transforms, fields of view, projections and frustums, in `f64`.
+//! Rotations, rigid transforms, fields of view, projections, frustums and lens models, in `f64`.
 //!
 //! One convention for the whole toolkit: right-handed, metres, y up, −z forward (OpenXR's). A transform is
 //! called `a_from_b` and takes coordinates in `b` to coordinates in `a`; products cancel by spelling:
@@ -17,12 +17,14 @@
 mod affine;
 mod fov;
 mod frustum;
+mod lens;
 mod ray;
 mod rotation;
 
 pub use affine::{Affine, Trs};
 pub use fov::{Fov, FovError, clip_from_eye, eye_depth_from_clip_depth, project};
 pub use frustum::{Frustum, Plane};
+pub use lens::{Camera, Distortion, Lens, LensError};
 pub use ray::Ray;
 pub use rotation::{
     advance, exp, interpolate, left_jacobian, left_jacobian_inverse, log, mean, right_jacobian,
