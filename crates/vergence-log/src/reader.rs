@@ -412,7 +412,7 @@ impl Reader {
     fn advance_in_chunk(&mut self) -> Result<Option<Found>, Error> {
         let (offset, in_chunk) = (self.chunk_at, self.chunk_read as u64);
         let chunk = std::mem::take(&mut self.chunk);
-        let mut inner = Inner::new(&chunk, self.chunk_read);
+        let mut inner = Inner::new(&chunk, self.chunk_read, self.room());
         let taken = match inner.next() {
             Ok(Some(Record::Message(message))) => {
                 Ok(Some(Found::new(&message, Place { offset, in_chunk }, true, inner.at())))

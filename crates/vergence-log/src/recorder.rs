@@ -59,9 +59,10 @@ impl Default for Options {
 /// How a recording stands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Status {
-    /// Messages that were taken.
+    /// Messages that came while the file could be written.
     pub taken: u64,
-    /// Of these, messages that found their queue full or came after a failure, and are not in the file.
+    /// Messages that are not in the file: of those that were taken, what found its queue full; and all that came after a
+    /// failure, which are not counted as taken. What was in a queue when the file failed is in neither.
     pub dropped: u64,
     /// The file cannot be written any more.
     pub failed: bool,
@@ -82,10 +83,11 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Makes the file at `path` (an existing one is replaced), writes its header and starts the writer's thread.
+    /// Makes the file at `path` (an existing one is replaced), writes its header and starts the writer's thread. Until the
+    /// recording ends nobody else records to it.
     ///
     /// # Errors
-    /// Where the file cannot be made or its first bytes not written.
+    /// Where the file cannot be made or its first bytes not written, and where another recording is writing it.
     pub fn create(path: impl AsRef<Path>, header: &Header, options: &Options) -> Result<Self, Error> {
         let path = path.as_ref().to_owned();
         let options = Options {
@@ -153,13 +155,21 @@ impl Recorder {
         self.command(Command::Metadata(name.to_owned(), facts.clone()));
     }
 
-    /// Attaches a file's content (a scene), which the writer's thread reads in pieces. Not for the frame loop.
+    /// Attaches a file's content (a scene), which the writer's thread reads in pieces; returns when it is in the log. An
+    /// attachment is one piece of the file: what other lanes say meanwhile waits in their queues, and a kill loses that.
+    /// So a session attaches before its first frame. Not for the frame loop.
+    ///
+    /// A file that cannot be read is said in the log (`not_attached`), and so is one that ends early (`attached_short`).
     pub fn attach(&self, name: &str, media_type: &str, file: &Path) {
+        let (done, attached) = channel();
         self.command(Command::Attach {
             name: name.to_owned(),
             media_type: media_type.to_owned(),
             file: file.to_owned(),
+            done,
         });
+        // A writer that is gone answers no more.
+        let _ = attached.recv();
     }
 
     /// A writer that is gone takes no commands; why it is gone is said by [`Recorder::failure`].

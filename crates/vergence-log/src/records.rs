@@ -24,6 +24,11 @@ pub(crate) const HEAD: usize = 9;
 /// The first and the last bytes of a file.
 pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
+/// Memory that a note takes: its bytes, each text's place in the map, and what the allocator adds.
+pub(crate) fn note_bytes(key: &str, value: &str) -> u64 {
+    (key.len() + value.len()) as u64 + 160
+}
+
 /// What a record should have held.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Malformed {
@@ -75,12 +80,24 @@ impl<'a> Fields<'a> {
         std::str::from_utf8(bytes).map_err(|_| Malformed::new(expected, "bytes that are no UTF-8"))
     }
 
-    pub(crate) fn map(&mut self, expected: &'static str) -> Result<BTreeMap<String, String>, Malformed> {
+    /// Notes under names. Counted while they are read: some bytes in the file are many times as many in memory.
+    pub(crate) fn map(
+        &mut self,
+        expected: &'static str,
+        room: u64,
+    ) -> Result<BTreeMap<String, String>, Malformed> {
         let length = self.u32(expected)?;
         let mut fields = Fields(self.bytes(length.into(), expected)?);
         let mut map = BTreeMap::new();
+        let mut taken = 0;
         while !fields.0.is_empty() {
-            map.insert(fields.text(expected)?.to_owned(), fields.text(expected)?.to_owned());
+            let (key, value) = (fields.text(expected)?, fields.text(expected)?);
+            taken += note_bytes(key, value);
+            if taken > room {
+                let found = format!("{taken} bytes of them, and more");
+                return Err(Malformed::new("notes that fit into the memory that is allowed", found));
+            }
+            map.insert(key.to_owned(), value.to_owned());
         }
         Ok(map)
     }
@@ -136,7 +153,8 @@ pub(crate) struct ChunkRecord<'a> {
 }
 
 impl<'a> Record<'a> {
-    pub(crate) fn parse(opcode: u8, body: &'a [u8]) -> Result<Self, Malformed> {
+    /// `room` is how many bytes notes may take in memory.
+    pub(crate) fn parse(opcode: u8, body: &'a [u8], room: u64) -> Result<Self, Malformed> {
         let mut fields = Fields(body);
         Ok(match opcode {
             op::HEADER => {
@@ -157,7 +175,7 @@ impl<'a> Record<'a> {
                     schema: fields.u16(what)?,
                     topic: fields.text(what)?,
                     encoding: fields.text(what)?,
-                    metadata: fields.map(what)?,
+                    metadata: fields.map(what, room)?,
                 }
             }
             op::MESSAGE => {
@@ -185,7 +203,7 @@ impl<'a> Record<'a> {
             }
             op::ATTACHMENT => Self::Attachment,
             op::METADATA => {
-                Self::Metadata { name: fields.text("metadata")?, metadata: fields.map("metadata")? }
+                Self::Metadata { name: fields.text("metadata")?, metadata: fields.map("metadata", room)? }
             }
             op::DATA_END => Self::DataEnd,
             _ => Self::Other,
@@ -198,11 +216,13 @@ impl<'a> Record<'a> {
 pub(crate) struct Inner<'a> {
     bytes: &'a [u8],
     at: usize,
+    room: u64,
 }
 
 impl<'a> Inner<'a> {
-    pub(crate) fn new(bytes: &'a [u8], at: usize) -> Self {
-        Self { bytes, at }
+    /// From the record at `at` on; `room` as for [`Record::parse`].
+    pub(crate) fn new(bytes: &'a [u8], at: usize, room: u64) -> Self {
+        Self { bytes, at, room }
     }
 
     /// Where the next record begins.
@@ -221,6 +241,6 @@ impl<'a> Inner<'a> {
         let length = fields.u64("a record in a chunk")?;
         let body = fields.bytes(length, "a record in a chunk")?;
         self.at += HEAD + body.len();
-        Record::parse(opcode, body).map(Some)
+        Record::parse(opcode, body, self.room).map(Some)
     }
 }

@@ -1,7 +1,7 @@
 //! A log made out of logs: what repair, cut and merge write with.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -32,6 +32,15 @@ impl Rewriter {
         };
         if sources.iter().any(|source| same(source, goal)) {
             return Err(Error::Request(format!("{}: expected another file to write to", goal.display())));
+        }
+        let busy = |goal: &Path| {
+            // A file that cannot be opened or locked is not being recorded to by anybody whom we could ask.
+            File::open(goal).is_ok_and(|file| matches!(file.try_lock(), Err(TryLockError::WouldBlock)))
+        };
+        if busy(goal) {
+            let goal = goal.display();
+            let found = "expected a file that nobody writes, found one that a recording is writing";
+            return Err(Error::Request(format!("{goal}: {found}")));
         }
         // A name that nobody has, so that nothing of anybody's is written over: a source may be what an earlier call left.
         let mut name = goal.as_os_str().to_owned();

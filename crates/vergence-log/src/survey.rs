@@ -92,7 +92,7 @@ pub struct Delay {
 /// Something that is not as it should be.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
-    /// `damage`, `arrival`, `capture`, `sequence`, `dropped`, `times`.
+    /// `damage`, `arrival`, `capture`, `sequence`, `dropped`, `attachment`, `times`.
     pub kind: &'static str,
     /// Which stream; empty for the file.
     pub stream: String,
@@ -323,6 +323,23 @@ impl Survey {
     }
 }
 
+/// What the recorder said of itself.
+fn own_event(event: &Event, place: Place, findings: &mut Findings) {
+    let Event { name, text, before, after, .. } = event;
+    match &**name {
+        "dropped" => {
+            findings.add("dropped", text, place, || format!("{after} messages were dropped while recording"))
+        }
+        "not_attached" => {
+            findings.add("attachment", "", place, || format!("{text} could not be attached"));
+        }
+        "attached_short" => findings.add("attachment", "", place, || {
+            format!("{text}: expected {before} bytes, found {after}; zeros stand for the rest")
+        }),
+        _ => {}
+    }
+}
+
 /// Takes a message into account; when it arrived.
 fn watch(stream: &mut Watched, entry: &Entry<'_>, findings: &mut Findings) -> Option<i64> {
     let (name, place) = (&entry.stream.name, entry.place);
@@ -343,14 +360,10 @@ fn watch(stream: &mut Watched, entry: &Entry<'_>, findings: &mut Findings) -> Op
         }
     }
     stream.next = Some(entry.sequence.wrapping_add(1));
-    if entry.is::<Event>()
+    if name == crate::writer::StreamRecord::OWN
         && let Ok(event) = entry.decode::<Event>()
-        && event.value.name == "dropped"
-        && name == crate::writer::StreamRecord::OWN
     {
-        findings.add("dropped", &event.value.text, place, || {
-            format!("{} messages were dropped while recording", event.value.after)
-        });
+        own_event(&event.value, place, findings);
     }
     let times = match times_of(entry) {
         Ok(Some(times)) => times,

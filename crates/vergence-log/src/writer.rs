@@ -2,13 +2,13 @@
 //! ends a chunk in time.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{Read, Seek, SeekFrom, Write};
 #[cfg(unix)]
 use std::os::unix::fs::FileTypeExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -37,7 +37,13 @@ pub(crate) enum Command {
     Stream(StreamRecord),
     Lane(LaneEnd),
     Metadata(String, BTreeMap<String, String>),
-    Attach { name: String, media_type: String, file: PathBuf },
+    Attach {
+        name: String,
+        media_type: String,
+        file: PathBuf,
+        /// Hears when it is done.
+        done: Sender<()>,
+    },
 }
 
 /// A stream, ready to be written.
@@ -155,7 +161,7 @@ impl Writer {
             let found = "expected a file to write to, found a pipe, which cannot be read from its end";
             return Err(refused(std::io::Error::new(std::io::ErrorKind::InvalidInput, found)));
         }
-        let file = File::create(path).map_err(refused)?;
+        let file = claim(path).map_err(refused)?;
         let sink = Sink::new(file.try_clone().map_err(refused)?);
         let quiet = sink.quiet();
         let mcap = write_options(options.compression, None).create(sink);
@@ -246,7 +252,11 @@ impl Writer {
                     self.mcap.write_metadata(&Metadata { name, metadata })?;
                     self.waiting_since.get_or_insert_with(Instant::now);
                 }
-                Command::Attach { name, media_type, file } => self.attach(name, media_type, &file)?,
+                Command::Attach { name, media_type, file, done } => {
+                    self.attach(name, media_type, &file)?;
+                    // Whoever does not wait need not hear of it.
+                    let _ = done.send(());
+                }
             }
         }
         Ok(())
@@ -275,20 +285,21 @@ impl Writer {
             }
         };
         self.flush()?;
-        let header =
-            AttachmentHeader { log_time: log_time(self.last_arrived), create_time: 0, name, media_type };
+        let (log_time, name_again) = (log_time(self.last_arrived), name.clone());
+        let header = AttachmentHeader { log_time, create_time: 0, name, media_type };
         self.mcap.start_attachment(length, header)?;
-        let (mut left, mut piece) = (length, vec![0; 256 << 10]);
+        let (mut left, mut piece, mut zeros) = (length, vec![0; 256 << 10], 0);
         while left > 0 {
             let most = usize::try_from(left).unwrap_or(usize::MAX).min(piece.len());
             let read = match file.read(&mut piece[..most]) {
                 Ok(read) if read > 0 => read,
                 // Shorter than it was, or unreadable: the promised length must be kept.
                 _ => {
-                    log::warn!(
-                        "{}: {left} bytes could not be attached; zeros stand for them",
-                        path.display()
-                    );
+                    if zeros == 0 {
+                        zeros = left;
+                        let path = path.display();
+                        log::warn!("{path}: {left} bytes could not be attached; zeros stand for them");
+                    }
                     piece.fill(0);
                     most
                 }
@@ -297,6 +308,9 @@ impl Writer {
             left -= read as u64;
         }
         self.mcap.finish_attachment()?;
+        if zeros > 0 {
+            self.say("attached_short", &name_again, length as f64, (length - zeros) as f64)?;
+        }
         self.flush()
     }
 
@@ -394,6 +408,25 @@ impl Writer {
         let error = Error::Write { path: self.path.clone(), good_bytes: self.good, source };
         *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
     }
+}
+
+/// Opens a file to be written from its beginning, once nobody else records to it.
+fn claim(path: &Path) -> std::io::Result<File> {
+    // Not cut off before it is known to be ours alone.
+    let file = File::options().write(true).create(true).truncate(false).open(path)?;
+    match file.try_lock() {
+        Ok(()) => {}
+        Err(TryLockError::WouldBlock) => {
+            let found = "expected a file that nobody writes, found one that another recording is writing";
+            return Err(std::io::Error::new(std::io::ErrorKind::ResourceBusy, found));
+        }
+        // Some file systems have no locks.
+        Err(TryLockError::Error(error)) => log::info!("{}: cannot be locked: {error}", path.display()),
+    }
+    if file.metadata()?.is_file() {
+        file.set_len(0)?;
+    }
+    Ok(file)
 }
 
 /// The writer of files of this format; without `chunk_bytes`, chunks end when they are told to.

@@ -1,11 +1,14 @@
 //! What is recorded comes back bit for bit, in the order in which it arrived.
 #![allow(clippy::unwrap_used, reason = "a test stops where something is not as expected")]
 
+use std::path::Path;
+
 use proptest::prelude::*;
 use tempfile::TempDir;
 use vergence_log::wire::Encoder;
 use vergence_log::{
-    Compressed, Ending, Error, Header, Message, Options, Reader, Recorder, StreamDesc, Times,
+    Compressed, Ending, Error, Header, Limits, Message, Options, Reader, Recorder, StreamDesc, Survey, Times,
+    repair,
 };
 use vergence_sense::{
     Axis, Button, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu, JOINTS_PER_HAND,
@@ -229,4 +232,48 @@ fn a_path_that_cannot_be_written_is_one_clear_error() {
     let source = std::error::Error::source(&error).unwrap().to_string();
     assert_eq!(error.to_string(), "/nowhere/at/all.mcap: cannot be created");
     assert!(source.contains("No such file"), "{source}");
+}
+
+/// The second of two recordings to one path is refused, takes nothing from the first, and may go on once that has ended.
+#[test]
+fn two_recordings_do_not_share_a_file() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("one.mcap");
+    let create = || Recorder::create(&path, &Header::default(), &Options::default());
+    let mut first = create().unwrap();
+    let stream = first.stream::<Scalar>(&StreamDesc::new("/x")).unwrap();
+    first.write(&stream, Times::at(Timestamp::from_nanos(1)), &Scalar(1.0));
+    let refused = create().unwrap_err();
+    let why = std::error::Error::source(&refused).unwrap().to_string();
+    assert!(matches!(refused, Error::Create { .. }) && why.contains("another recording"), "{why}");
+    // Nor is it replaced by what is made out of other logs.
+    let other = dir.path().join("other.mcap");
+    Recorder::create(&other, &Header::default(), &Options::default()).unwrap().finish().unwrap();
+    let repaired = repair(&other, &path, Limits::default(), &mut |_, _| {});
+    assert!(matches!(repaired, Err(Error::Request(_))), "{repaired:?}");
+    first.finish().unwrap();
+    assert_eq!(Reader::read_all::<Scalar>(&path, "/x").unwrap()[0].value, Scalar(1.0));
+    create().unwrap().finish().unwrap();
+    assert!(Reader::read_all::<Scalar>(&path, "/x").is_err(), "it was replaced");
+}
+
+/// What could not be attached whole is said in the log, and a check finds it.
+#[test]
+fn what_is_not_attached_is_said() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("attached.mcap");
+    let recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
+    recorder.attach("missing.glb", "model/gltf-binary", &dir.path().join("missing.glb"));
+    // A file whose length is said to be larger than what can be read of it.
+    if std::fs::metadata("/sys/kernel/mm/transparent_hugepage/enabled").is_ok_and(|file| file.len() > 1000) {
+        recorder.attach("short", "text/plain", Path::new("/sys/kernel/mm/transparent_hugepage/enabled"));
+    }
+    recorder.finish().unwrap();
+    let survey = Survey::of(&mut Reader::open(&path).unwrap(), &mut |_, _| {}).unwrap();
+    let sentences: Vec<&str> = survey.findings.iter().map(|finding| finding.sentence.as_str()).collect();
+    assert_eq!(sentences[0], "missing.glb could not be attached");
+    if let Some(short) = sentences.get(1) {
+        assert!(short.starts_with("short: expected 4096 bytes, found"), "{short}");
+    }
+    assert!(!survey.is_well());
 }

@@ -9,7 +9,7 @@ use super::{Attachment, Ending, Found, Head, Place, Reader, StreamInfo};
 use crate::chunk::decompress;
 use crate::error::Error;
 use crate::header::{FORMAT_VERSION, Header, SESSION};
-use crate::records::{Fields, MAGIC, Malformed, Record, op};
+use crate::records::{Fields, MAGIC, Malformed, Record, note_bytes, op};
 
 impl Reader {
     /// Takes in the record that was read last; a message is found.
@@ -29,7 +29,8 @@ impl Reader {
             let taken = self.add_attachment(head, body);
             return taken.map(|()| None).map_err(|malformed| self.damaged(offset, malformed));
         }
-        let record = Record::parse(head.opcode, body).map_err(|malformed| self.damaged(offset, malformed))?;
+        let record = Record::parse(head.opcode, body, self.room())
+            .map_err(|malformed| self.damaged(offset, malformed))?;
         let taken = match record {
             Record::Message(message) => {
                 let place = Place { offset, in_chunk: 0 };
@@ -63,10 +64,15 @@ impl Reader {
         taken.map(|()| None).map_err(|malformed| self.damaged(offset, malformed))
     }
 
+    /// Bytes that what is kept for the whole file may still take.
+    pub(super) fn room(&self) -> u64 {
+        self.limits.index_bytes.saturating_sub(self.index_bytes)
+    }
+
     /// Counts what is kept for the whole file.
-    fn charge(&mut self, bytes: usize) -> Result<(), Malformed> {
+    fn charge(&mut self, bytes: u64) -> Result<(), Malformed> {
         // What a map needs beside the bytes themselves.
-        self.index_bytes += bytes as u64 + 128;
+        self.index_bytes += bytes + 128;
         if self.index_bytes > self.limits.index_bytes {
             let found = format!("{} bytes of them", self.index_bytes);
             return Err(Malformed::new(
@@ -89,7 +95,7 @@ impl Reader {
             let found = || format!("two, '{}' and '{name}'", known.0);
             return if same { Ok(()) } else { Err(Malformed::new("one schema per number", found())) };
         }
-        self.charge(name.len() + encoding.len() + data.len())?;
+        self.charge((name.len() + encoding.len() + data.len()) as u64)?;
         self.schemas.insert(id, (name.to_owned(), encoding.to_owned(), data.to_owned()));
         Ok(())
     }
@@ -122,8 +128,7 @@ impl Reader {
                 Err(Malformed::new("one stream per number", found()))
             };
         }
-        let notes: usize = info.metadata.iter().map(|(key, value)| key.len() + value.len() + 64).sum();
-        self.charge(topic.len() + encoding.len() + info.schema.len() + notes)?;
+        self.charge((topic.len() + encoding.len() + info.schema.len()) as u64 + notes_bytes(&info.metadata))?;
         self.streams.insert(id, Arc::new(info));
         Ok(())
     }
@@ -143,11 +148,13 @@ impl Reader {
                     found: format!("'{version}'"),
                 });
             }
+            let charged = self.charge(notes_bytes(&metadata));
+            charged.map_err(|malformed| self.damaged(offset, malformed))?;
             self.header = Some(Header::from_map(&metadata));
             return Ok(());
         }
-        let bytes = metadata.iter().map(|(key, value)| key.len() + value.len() + 64).sum::<usize>();
-        self.charge(name.len() + bytes).map_err(|malformed| self.damaged(offset, malformed))?;
+        let charged = self.charge(name.len() as u64 + notes_bytes(&metadata));
+        charged.map_err(|malformed| self.damaged(offset, malformed))?;
         self.metadata.push((name.to_owned(), metadata));
         Ok(())
     }
@@ -157,7 +164,7 @@ impl Reader {
         let what = "an attachment";
         let (_log_time, _create_time) = (fields.u64(what)?, fields.u64(what)?);
         let (name, media_type) = (fields.text(what)?, fields.text(what)?);
-        self.charge(name.len() + media_type.len())?;
+        self.charge((name.len() + media_type.len()) as u64)?;
         self.attachments.push(Attachment {
             name: name.to_owned(),
             media_type: media_type.to_owned(),
@@ -166,4 +173,8 @@ impl Reader {
         });
         Ok(())
     }
+}
+
+fn notes_bytes(notes: &BTreeMap<String, String>) -> u64 {
+    notes.iter().map(|(key, value)| note_bytes(key, value)).sum()
 }
