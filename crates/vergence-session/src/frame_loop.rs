@@ -119,6 +119,7 @@ impl OurCpu {
 pub(crate) fn play(run: &mut Run<'_>, chosen: &Chosen) -> Result<End, Error> {
     let mut session = start(run, chosen)?;
     let ended = frames(run, &mut session);
+    run.session_time = session.client.latest().max(run.session_time);
     run.book = book::take(&mut session.client);
     if session.client.is_hung() {
         // Whatever is destroyed now may not return either.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use vergence_plan::Plan;
+use vergence_time::Timestamp;
 use vergence_xr::{Connection, EmbeddedRuntime, State, Way};
 use vergence_xr_sim::{ClockMode, Config, PoseProvider, Profile, Runtime, motion};
 
@@ -26,24 +27,33 @@ pub(crate) struct Chosen {
     pub(crate) why: String,
 }
 
+/// What a run hands to each simulated headset that it makes, one after the other.
+pub(crate) struct Handed<'a> {
+    pub(crate) capture: Option<&'a Capture>,
+    pub(crate) by_hand: Option<ByHand>,
+    pub(crate) again: Option<&'a Again>,
+    /// What moves it; opened once, so that a file that changes or goes meanwhile changes nothing.
+    pub(crate) motion: &'a mut Option<Arc<dyn PoseProvider>>,
+    /// What its clock reads at first, where it goes on from an earlier one's.
+    pub(crate) begins: Option<Timestamp>,
+}
+
 /// Finds the headset that the configuration asks for, waiting for it as long as that says.
 pub(crate) fn choose(
     config: &RunConfig,
     plan: &Plan,
-    capture: Option<&Capture>,
-    by_hand: Option<ByHand>,
-    again: Option<&Again>,
+    handed: Handed<'_>,
     say: &mut dyn FnMut(&str),
 ) -> Result<Chosen, Error> {
     match config.headset {
-        HeadsetChoice::Simulated => simulated(config, plan, capture, by_hand, again, "asked for".into()),
+        HeadsetChoice::Simulated => simulated(config, plan, handed, "asked for".into()),
         HeadsetChoice::OpenXr => {
             let connection = wait_for_real(config, plan, say)?;
             real(config, connection, "asked for".into())
         }
         HeadsetChoice::Auto => match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
             Ok(connection) => real(config, connection, "a runtime with a headset was found".into()),
-            Err(error) => simulated(config, plan, capture, by_hand, again, format!("no real one: {error}")),
+            Err(error) => simulated(config, plan, handed, format!("no real one: {error}")),
         },
     }
 }
@@ -90,14 +100,8 @@ fn real(config: &RunConfig, connection: Connection, why: String) -> Result<Chose
     Ok(Chosen { connection: Arc::new(connection), is_simulated: false, profile, why })
 }
 
-fn simulated(
-    config: &RunConfig,
-    plan: &Plan,
-    capture: Option<&Capture>,
-    by_hand: Option<ByHand>,
-    again: Option<&Again>,
-    why: String,
-) -> Result<Chosen, Error> {
+fn simulated(config: &RunConfig, plan: &Plan, handed: Handed<'_>, why: String) -> Result<Chosen, Error> {
+    let Handed { capture, by_hand, again, motion, begins } = handed;
     let mut profile = match (again, &config.profile) {
         (Some(again), _) => again.profile.clone(),
         (None, Some(name)) => Profile::open(name)?,
@@ -109,15 +113,22 @@ fn simulated(
         }
         profile = profile.with_ipd(ipd_m);
     }
-    let motion: Box<dyn PoseProvider> = match (again, config.motion.as_deref(), by_hand) {
-        (Some(again), ..) => Box::new(again.replay.clone()),
-        (None, None, Some(by_hand)) => Box::new(by_hand),
-        (None, Some(log), _) if log.ends_with(".mcap") => Box::new(SessionLog::open(log.as_ref())?.motion()?),
-        (None, name, _) => motion::open(name.unwrap_or("still"))?,
+    let motion = match motion {
+        Some(motion) => Arc::clone(motion),
+        None => Arc::clone(motion.insert(match (again, config.motion.as_deref(), by_hand) {
+            (Some(again), ..) => Arc::new(again.replay.clone()),
+            (None, None, Some(by_hand)) => Arc::new(by_hand),
+            (None, Some(log), _) if log.ends_with(".mcap") => {
+                Arc::new(SessionLog::open(log.as_ref())?.motion()?)
+            }
+            (None, name, _) => Arc::from(motion::open(name.unwrap_or("still"))?),
+        })),
     };
+    let first = Config::default();
     Runtime::configure(Config {
         profile: profile.clone(),
-        motion,
+        motion: Box::new(motion),
+        begins: begins.unwrap_or(first.begins),
         clock: if config.real_time || config.window { ClockMode::RealTime } else { ClockMode::Virtual },
         frames: None,
         capture: capture.map(Capture::of_composed_pictures),

@@ -69,7 +69,8 @@ struct Contents<'a> {
     actions: &'a ActionSet,
     hand_joints: bool,
     eye_gaze: bool,
-    hashes: bool,
+    /// What pictures that are hashed are like.
+    hashes: Option<String>,
     /// The session's clock stands still between frames.
     is_virtual: bool,
 }
@@ -109,10 +110,12 @@ impl Recording {
             actions: &run.plan.actions,
             hand_joints: run.config.hand_joints,
             eye_gaze: run.config.eye_gaze,
-            hashes,
+            hashes: hashes.then(|| hashed(&client.pictures())),
             is_virtual,
         };
-        let recording = Self::create(config, &header, &contents)?;
+        let mut recording = Self::create(config, &header, &contents)?;
+        // What happens before the first frame happens now.
+        recording.now = SessionNow::new(client.now().unwrap_or_default(), is_virtual);
         if config.attach_scene {
             recording.attach(&provenance::named_files(&run.scene));
         }
@@ -156,7 +159,10 @@ impl Recording {
             timing: None,
             events: recorder.stream(&StreamDesc::new(name::EVENTS))?,
             timings: recorder.stream(&StreamDesc::new(name::TIMING))?,
-            hashes: contents.hashes.then(|| recorder.stream(&StreamDesc::new(name::HASHES))).transpose()?,
+            hashes: match &contents.hashes {
+                Some(of) => Some(recorder.stream(&StreamDesc::new(name::HASHES).note("hash", of))?),
+                None => None,
+            },
             views: recorder.stream(&local(name::VIEWS))?,
             submitted: recorder.stream(&local(name::SUBMITTED))?,
             head: recorder.stream(&local(name::HEAD))?,
@@ -279,4 +285,14 @@ impl Recording {
     pub(crate) fn finish(self) -> Result<vergence_log::Status, vergence_log::Error> {
         self.recorder.finish()
     }
+}
+
+/// What the hash of a picture is of, for readers of the log.
+fn hashed(pictures: &vergence_xr::Pictures) -> String {
+    let (width, height) = pictures.size;
+    format!(
+        "BLAKE3 (32 bytes) of the {width} x {height} pixels that the renderer wrote for the view, rows from the top, {:?}, \
+         no padding",
+        pictures.color_format
+    )
 }

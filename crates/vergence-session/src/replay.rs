@@ -79,8 +79,15 @@ impl SessionLog {
                 path.display()
             ))
         };
-        let header = reader.header().cloned().ok_or_else(none)?;
-        let resolved = serde_json::from_str(&header.configuration).map_err(|_| none())?;
+        let header =
+            reader.header().cloned().filter(|header| !header.configuration.is_empty()).ok_or_else(none)?;
+        let resolved = serde_json::from_str(&header.configuration).map_err(|error| {
+            Error::Call(format!(
+                "{}: expected the configuration of a session, found one by {} that cannot be read: {error}",
+                path.display(),
+                header.application
+            ))
+        })?;
         Ok(Self { path: path.to_owned(), header, resolved })
     }
 
@@ -95,7 +102,8 @@ impl SessionLog {
     /// Where the log cannot be read or the files not be written.
     pub fn unpack_scene(&self, folder: &Path) -> Result<Option<PathBuf>, Error> {
         let mut reader = Reader::open(&self.path)?;
-        while reader.next()?.is_some() {}
+        // What is attached whole is there also where something else is damaged.
+        while !matches!(reader.next(), Ok(None) | Err(vergence_log::Error::Read { .. })) {}
         let mut first = None;
         let mut file = std::fs::File::open(&self.path).map_err(Error::write(&self.path))?;
         for attachment in reader.attachments() {

@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use vergence_plan::{Plan, Requests};
 use vergence_scene::Scene;
+use vergence_time::Timestamp;
 use vergence_xr::State;
-use vergence_xr_sim::{Profile, Replay};
+use vergence_xr_sim::{PoseProvider, Profile, Replay};
 
 use crate::book::Book;
 use crate::capture::Capture;
@@ -15,7 +16,7 @@ use crate::config::{HeadsetChoice, RunConfig};
 use crate::desk::Desk;
 use crate::error::Error;
 use crate::frame_loop::{self, End};
-use crate::headset;
+use crate::headset::{self, Handed};
 use crate::markers::with_markers;
 use crate::place;
 use crate::pose_log::PoseLog;
@@ -55,6 +56,10 @@ pub(crate) struct Run<'a> {
     pub(crate) capture: Option<Capture>,
     pub(crate) pose_log: Option<PoseLog>,
     pub(crate) desk: Option<Desk>,
+    /// What moves the simulated headset, once it is open.
+    pub(crate) motion: Option<Arc<dyn PoseProvider>>,
+    /// How far session time has come, where a session has run.
+    pub(crate) session_time: Option<Timestamp>,
     /// What the session keeps of itself; with the client while one runs.
     pub(crate) book: Option<Box<Book>>,
     /// A recording that is lived through again.
@@ -152,6 +157,8 @@ fn whole(
         capture,
         pose_log,
         desk: if config.window { Some(Desk::open()?) } else { None },
+        motion: None,
+        session_time: None,
         book: None,
         again,
         report: RunReport { warnings: scene.warnings.clone(), ..RunReport::default() },
@@ -255,12 +262,17 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
     if let Some(capture) = &run.capture {
         capture.continue_at(run.tally.frames);
     }
-    let again = run.again.as_ref();
-    let chosen =
-        headset::choose(&config, &run.plan, run.capture.as_ref(), by_hand, again, &mut |sentence| {
-            watch(Happening::Said(sentence));
-            notices.push(sentence.to_owned());
-        })?;
+    let handed = Handed {
+        capture: run.capture.as_ref(),
+        by_hand,
+        again: run.again.as_ref(),
+        motion: &mut run.motion,
+        begins: run.session_time,
+    };
+    let chosen = headset::choose(&config, &run.plan, handed, &mut |sentence| {
+        watch(Happening::Said(sentence));
+        notices.push(sentence.to_owned());
+    })?;
     run.config.headset = if chosen.is_simulated { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
     run.config.wait_s = run.config.wait_s.max(COME_BACK_S);
     if run.report.headset.is_empty() {

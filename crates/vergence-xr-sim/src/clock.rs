@@ -4,31 +4,30 @@ use openxr_sys as sys;
 use rustix::time::{ClockId, clock_gettime};
 use vergence_time::{Clock, HandClock, HostClock, Span, Timestamp};
 
-use crate::config::ClockMode;
+use crate::config::{ClockMode, EPOCH};
 use crate::ffi::{Out, XrResult};
 use crate::instance::Instance;
-
-/// When an instance is created. Not 0, which OpenXR does not take for a time.
-const EPOCH: Timestamp = Timestamp::from_nanos(1_000_000_000);
 
 /// The clock of an instance.
 pub(crate) struct RuntimeClock {
     clock: Box<dyn Clock>,
     mode: ClockMode,
-    /// `CLOCK_MONOTONIC` at [`EPOCH`], nanoseconds.
-    host_at_epoch: i64,
+    /// What it read when it was started.
+    begins: Timestamp,
+    /// `CLOCK_MONOTONIC` then, nanoseconds.
+    host_at_begin: i64,
 }
 
-/// The host's clock, set to [`EPOCH`] at its start.
-struct FromEpoch(HostClock);
+/// The host's clock, set to an instant at its start.
+struct From(HostClock, Timestamp);
 
-impl Clock for FromEpoch {
+impl Clock for From {
     fn now(&self) -> Timestamp {
-        EPOCH.saturating_add(Span::from_nanos(self.0.now().as_nanos()))
+        self.1.saturating_add(Span::from_nanos(self.0.now().as_nanos()))
     }
 
     fn sleep_until(&self, instant: Timestamp) {
-        self.0.sleep_until(instant.saturating_add(Span::from_nanos(-EPOCH.as_nanos())));
+        self.0.sleep_until(instant.saturating_add(Span::from_nanos(self.1.as_nanos().saturating_neg())));
     }
 }
 
@@ -38,13 +37,14 @@ fn monotonic_nanos() -> i64 {
 }
 
 impl RuntimeClock {
-    pub(crate) fn start(mode: ClockMode) -> Self {
-        let host_at_epoch = monotonic_nanos();
+    pub(crate) fn start(mode: ClockMode, begins: Timestamp) -> Self {
+        let begins = begins.max(EPOCH);
+        let host_at_begin = monotonic_nanos();
         let clock: Box<dyn Clock> = match mode {
-            ClockMode::Virtual => Box::new(HandClock::at(EPOCH)),
-            ClockMode::RealTime => Box::new(FromEpoch(HostClock::start())),
+            ClockMode::Virtual => Box::new(HandClock::at(begins)),
+            ClockMode::RealTime => Box::new(From(HostClock::start(), begins)),
         };
-        Self { clock, mode, host_at_epoch }
+        Self { clock, mode, begins, host_at_begin }
     }
 
     pub(crate) fn mode(&self) -> ClockMode {
@@ -64,15 +64,19 @@ impl RuntimeClock {
     /// [`Self::host_from_session`].
     fn session_from_host(&self, nanos: i64) -> i64 {
         match self.mode {
-            ClockMode::RealTime => nanos.saturating_sub(self.host_at_epoch).saturating_add(EPOCH.as_nanos()),
-            ClockMode::Virtual if nanos >= self.host_at_epoch => self.now().as_nanos(),
+            ClockMode::RealTime => {
+                nanos.saturating_sub(self.host_at_begin).saturating_add(self.begins.as_nanos())
+            }
+            ClockMode::Virtual if nanos >= self.host_at_begin => self.now().as_nanos(),
             ClockMode::Virtual => nanos,
         }
     }
 
     fn host_from_session(&self, nanos: i64) -> i64 {
         match self.mode {
-            ClockMode::RealTime => nanos.saturating_sub(EPOCH.as_nanos()).saturating_add(self.host_at_epoch),
+            ClockMode::RealTime => {
+                nanos.saturating_sub(self.begins.as_nanos()).saturating_add(self.host_at_begin)
+            }
             ClockMode::Virtual => nanos,
         }
     }

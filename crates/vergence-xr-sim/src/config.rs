@@ -12,6 +12,9 @@ use crate::fault::FaultPlan;
 use crate::headset::Profile;
 use crate::motion::{Hand, PoseProvider, Presence, Still};
 
+/// What the clock reads at first. Not 0, which OpenXR does not take for a time.
+pub(crate) const EPOCH: Timestamp = Timestamp::from_nanos(1_000_000_000);
+
 /// How time passes for the session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ClockMode {
@@ -31,6 +34,9 @@ pub struct Config {
     pub motion: Box<dyn PoseProvider>,
     /// How time passes.
     pub clock: ClockMode,
+    /// What the clock reads when an instance is created; after 0. A program that connects anew after a loss names a later
+    /// instant than before, so that its session time runs on.
+    pub begins: Timestamp,
     /// After so many frames with `shouldRender` the runtime asks the application to end; `None`: never.
     pub frames: Option<u64>,
     /// Who gets the composed pictures; `None`: nothing is composed.
@@ -44,12 +50,13 @@ pub struct Config {
 }
 
 impl Default for Config {
-    /// The headset `default`, standing still, on a virtual clock, without end, without pictures.
+    /// The headset `default`, standing still, on a virtual clock that begins at 1 s, without end, without pictures.
     fn default() -> Self {
         Self {
             profile: Profile::default(),
             motion: Box::new(Still::default()),
             clock: ClockMode::Virtual,
+            begins: EPOCH,
             frames: None,
             capture: None,
             render: true,

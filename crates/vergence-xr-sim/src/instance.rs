@@ -133,7 +133,7 @@ pub(crate) fn create_instance(info: In<sys::InstanceCreateInfo>, mut out: Out<sy
         extensions.insert(Extension::named(name).ok_or(sys::Result::ERROR_EXTENSION_NOT_PRESENT)?);
     }
     let config = Runtime::configured();
-    let clock = RuntimeClock::start(config.clock);
+    let clock = RuntimeClock::start(config.clock, config.begins);
     let (handle, _) = handle::insert(0, |handle| Instance {
         handle,
         config,

@@ -103,6 +103,8 @@ pub struct Client {
     /// Begun, not ended.
     begun: Option<Frame>,
     discarded: u64,
+    /// The latest instant that is known to have been.
+    latest: Option<Timestamp>,
     ear: Ear,
     /// Boxed once: an event is 4 KB.
     events: Box<openxr::EventDataBuffer>,
@@ -171,6 +173,7 @@ impl Client {
             waited: None,
             begun: None,
             discarded: 0,
+            latest: None,
             ear: Ear::default(),
             events: Box::new(openxr::EventDataBuffer::new()),
             input,
@@ -201,6 +204,16 @@ impl Client {
     /// counted: the graphics device counts that).
     pub fn runtime_cpu(&self) -> Span {
         self.clock.spent()
+    }
+
+    /// The runtime's clock, where it can be asked.
+    pub fn now(&self) -> Option<Timestamp> {
+        self.connection.now()
+    }
+
+    /// The latest instant of session time that is known to have been; `None` before the first frame.
+    pub const fn latest(&self) -> Option<Timestamp> {
+        self.latest
     }
 
     /// Frames that the runtime threw away because the next one was begun.
@@ -337,8 +350,10 @@ impl Client {
             self.ear.hear(|| Said::Event(Event { at, ..Event::new(name, "") }));
         }
         let early = Span::from_nanos(prediction.period.as_nanos().saturating_neg());
+        let now = runtime_now.unwrap_or(prediction.display.saturating_add(early));
+        self.latest = self.latest.max(Some(now));
         self.ear.hear(|| Said::Frame {
-            now: runtime_now.unwrap_or(prediction.display.saturating_add(early)),
+            now,
             display: prediction.display,
             period: prediction.period,
             should_render: state.should_render,

@@ -8,7 +8,6 @@ use vergence_session::{CaptureConfig, Happening, HeadsetChoice, ReplayConfig, Se
 
 use crate::failure::Failure;
 use crate::loading;
-use crate::run::Headset;
 
 /// Lives through a recorded session again: the same client and renderer, on a simulated headset that says what was said
 #[derive(clap::Args)]
@@ -27,7 +26,7 @@ pub struct Args {
     /// Compares every call, event, submitted view and picture with the recording; a difference is a failure
     #[arg(long)]
     verify: bool,
-    /// On which headset; only the simulated one can follow a recording's clock
+    /// On which headset
     #[arg(long, value_enum, default_value_t = Headset::Simulated)]
     headset: Headset,
     /// Runs under Vulkan validation with synchronization validation; a message is a failure
@@ -36,6 +35,14 @@ pub struct Args {
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Headset {
+    /// The one of the recording, simulated
+    Simulated,
+    /// A real one; refused, since its clock does not follow a recording's
+    Openxr,
 }
 
 /// As fast as the machine can where there is no number.
@@ -60,7 +67,7 @@ impl Args {
         };
         let headset = match self.headset {
             Headset::Openxr => HeadsetChoice::OpenXr,
-            Headset::Auto | Headset::Simulated => HeadsetChoice::Simulated,
+            Headset::Simulated => HeadsetChoice::Simulated,
         };
         let log = SessionLog::open(&self.log).map_err(failed)?;
         let unpacked = tempfile::tempdir().map_err(|error| Failure::work(&error))?;

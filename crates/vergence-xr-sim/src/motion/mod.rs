@@ -191,6 +191,37 @@ pub trait PoseProvider: Send + Sync {
     }
 }
 
+/// The same provider, shared: a session that is lost goes on with what moved it before.
+impl<T: PoseProvider + ?Sized> PoseProvider for std::sync::Arc<T> {
+    fn head(&self, at: Timestamp) -> Tracked {
+        (**self).head(at)
+    }
+
+    fn controller(&self, hand: Hand, at: Timestamp) -> Controller {
+        (**self).controller(hand, at)
+    }
+
+    fn presence(&self, at: Timestamp) -> Presence {
+        (**self).presence(at)
+    }
+
+    fn renders(&self, at: Timestamp) -> bool {
+        (**self).renders(at)
+    }
+
+    fn recentrings(&self, at: Timestamp) -> u64 {
+        (**self).recentrings(at)
+    }
+
+    fn replay(&self) -> Option<&Replay> {
+        (**self).replay()
+    }
+
+    fn end(&self) -> Option<Timestamp> {
+        (**self).end()
+    }
+}
+
 /// Controllers held in front of the body: a hand's width beside and below the head and at arm's length, turned
 /// with the head about the vertical only.
 pub(crate) fn held_in_front(stage_from_head: &Tracked, hand: Hand) -> Controller {

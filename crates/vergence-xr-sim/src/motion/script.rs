@@ -2,7 +2,7 @@ use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use vergence_config::{Angle, Duration, Length};
-use vergence_geom::Rigid;
+use vergence_geom::{Rigid, slerp};
 use vergence_sense::{ControlState, Hand, RawLocation, Said, Tracking};
 use vergence_time::{Span, Timestamp};
 
@@ -113,7 +113,7 @@ struct RawAngles {
     roll: Option<Angle>,
 }
 
-#[derive(Clone, Copy, Debug, serde::Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 enum RawTracking {
     Seen,
@@ -184,6 +184,9 @@ impl Script {
 
     /// What the user of a recorded session did, to be done again in any other: `frames` as for
     /// [`Replay`](super::Replay), and for each action, by its place, the control that it was read from.
+    ///
+    /// What stays the same takes no memory; each pose that moves takes 100 bytes per frame. A head and two controllers that
+    /// all move take 160 MB for an hour at 90 Hz.
     ///
     /// Motion time 0 is when the session began to run, as the clock said at its first frame. The floor is the recorded one,
     /// where it was known.
@@ -328,9 +331,7 @@ impl Body {
             return None;
         }
         let position = self.position.between(at, |a, b, t| a.lerp(b, t));
-        let rotation = self
-            .rotation
-            .between(at, |a, b, t| a.try_slerp(b, t, 1e-9).unwrap_or(if t < 0.5 { *a } else { *b }));
+        let rotation = self.rotation.between(at, slerp);
         let pose = Rigid::from_parts(
             position.map_or(otherwise.translation, Into::into),
             rotation.unwrap_or(otherwise.rotation),

@@ -15,10 +15,18 @@ impl<T> Track<T> {
         self.0.is_empty()
     }
 
-    /// One more key, later than those before; nothing for `None`.
-    pub(crate) fn extend(&mut self, at: Timestamp, value: Option<T>) {
+    /// One more key, later than those before; nothing for `None`. Of keys that say the same the first and the last are
+    /// kept: between them it is straight anyway.
+    pub(crate) fn extend(&mut self, at: Timestamp, value: Option<T>)
+    where
+        T: PartialEq,
+    {
         debug_assert!(self.0.last().is_none_or(|(last, _)| *last <= at));
-        self.0.extend(value.map(|value| (at, value)));
+        let Some(value) = value else { return };
+        match &mut *self.0 {
+            [.., (_, before), (last, same)] if *before == value && *same == value => *last = at,
+            _ => self.0.push((at, value)),
+        }
     }
 
     /// The last key at or before `at`, and the next one.
@@ -66,6 +74,14 @@ mod tests {
         assert_eq!([0, 10, 15, 20, 30, 40, 99].map(at), [1.0, 1.0, 2.0, 3.0, 1.5, 0.0, 0.0]);
         assert_eq!(track.once_begun(Timestamp::from_nanos(9), mix), None);
         assert_eq!(track.held(Timestamp::from_nanos(19)), Some(&1.0));
+        let keys = track.0.len();
+        for (nanos, value) in [(60, 7.0), (70, 7.0), (80, 7.0), (90, 7.0), (100, 8.0)] {
+            track.extend(Timestamp::from_nanos(nanos), Some(value));
+        }
+        assert_eq!(track.0.len() - keys, 3, "what stays the same takes no memory");
+        let at = |nanos| track.between(Timestamp::from_nanos(nanos), mix).unwrap();
+        assert_eq!([60, 75, 90, 95, 100].map(at), [7.0, 7.0, 7.0, 7.5, 8.0]);
+        assert_eq!(track.held(Timestamp::from_nanos(99)), Some(&7.0));
         assert_eq!(Track::<f64>::default().between(Timestamp::from_nanos(1), mix), None);
     }
 }

@@ -1,4 +1,4 @@
-use vergence_geom::Rigid;
+use vergence_geom::{Rigid, interpolate};
 use vergence_time::{Span, Timestamp};
 
 use super::Tracked;
@@ -103,21 +103,12 @@ impl Trajectory {
                 Gaps::Interpolate => {}
             }
         }
-        Tracked::Seen(between(&before.world_from_body, &next.world_from_body, into / step))
+        Tracked::Seen(interpolate(&before.world_from_body, &next.world_from_body, into / step))
     }
 }
 
 fn span(from: Timestamp, to: Timestamp) -> f64 {
     to.since(from).map_or(f64::INFINITY, |span| span.as_nanos() as f64)
-}
-
-/// The pose a fraction `t` of the way from `a` to `b`. Opposite quaternions are the same rotation: the shorter arc
-/// is taken; for an exact half turn, where both are as long, that of the quaternions as they are.
-fn between(a: &Rigid, b: &Rigid, t: f64) -> Rigid {
-    let translation = a.translation.vector.lerp(&b.translation.vector, t);
-    let rotation =
-        a.rotation.try_slerp(&b.rotation, t, 1e-9).unwrap_or(if t < 0.5 { a.rotation } else { b.rotation });
-    Rigid::from_parts(translation.into(), rotation)
 }
 
 #[cfg(test)]
@@ -162,11 +153,11 @@ mod tests {
             a.translation,
             UnitQuaternion::new_unchecked(-pose(0.0, 0.3).rotation.into_inner()),
         );
-        assert!(between(&a, &flipped, 0.5).rotation.angle_to(&pose(0.0, 0.2).rotation) < 1e-12);
-        let half = between(&pose(0.0, 0.0), &pose(0.0, std::f64::consts::PI), 0.5);
+        assert!(interpolate(&a, &flipped, 0.5).rotation.angle_to(&pose(0.0, 0.2).rotation) < 1e-12);
+        let half = interpolate(&pose(0.0, 0.0), &pose(0.0, std::f64::consts::PI), 0.5);
         assert!(half.rotation.coords.iter().all(|c| c.is_finite()));
         // Samples a rounding error apart must not divide by the sine of nothing.
-        let close = between(&a, &pose(0.0, 0.1 + 1e-12), 0.3);
+        let close = interpolate(&a, &pose(0.0, 0.1 + 1e-12), 0.3);
         assert!(close.rotation.angle_to(&a.rotation) < 1e-11);
     }
 
