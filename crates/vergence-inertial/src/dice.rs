@@ -10,25 +10,34 @@ fn mix(mut z: u64) -> u64 {
 }
 
 /// One of many independent sequences of one seed.
+///
+/// ```
+/// use vergence_inertial::Dice;
+/// let noise = Dice::new(7, 0);
+/// assert_eq!(noise.normal(1000), Dice::new(7, 0).normal(1000));
+/// assert_ne!(noise.normal(1000), Dice::new(7, 1).normal(1000));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Dice(u64);
+pub struct Dice(u64);
 
 impl Dice {
-    pub(crate) fn new(seed: u64, stream: u64) -> Self {
+    /// The sequence number `stream` of `seed`.
+    pub fn new(seed: u64, stream: u64) -> Self {
         Self(mix(mix(seed) ^ stream.wrapping_mul(0xd6e8_feb8_6659_fd93)))
     }
 
-    fn bits(self, index: u64) -> u64 {
+    /// 64 bits.
+    pub fn bits(self, index: u64) -> u64 {
         mix(self.0 ^ mix(index))
     }
 
     /// In 0..1, never 0.
-    pub(crate) fn uniform(self, index: u64) -> f64 {
+    pub fn uniform(self, index: u64) -> f64 {
         ((self.bits(index) >> 11) as f64 + 0.5) * (1.0 / (1u64 << 53) as f64)
     }
 
     /// Mean 0, variance 1 (Box and Muller).
-    pub(crate) fn normal(self, index: u64) -> f64 {
+    pub fn normal(self, index: u64) -> f64 {
         let radius = (-2.0 * self.uniform(index).ln()).sqrt();
         let angle = std::f64::consts::TAU * Self(!self.0).uniform(index);
         radius * angle.cos()
@@ -36,7 +45,7 @@ impl Dice {
 
     /// A Wiener process at whole `tick`s: 0 at tick 0, increments independent, of variance 1 per tick. By halving the
     /// interval between two powers of two (Lévy's construction): at most 64 draws for any tick, none remembered.
-    pub(crate) fn walk(self, tick: u64) -> f64 {
+    pub fn walk(self, tick: u64) -> f64 {
         /// Ticks above are held there: 146 years at 1 kHz.
         const LAST: u64 = 1 << 42;
         let tick = tick.min(LAST - 1);

@@ -14,6 +14,7 @@ mod reader;
 mod score;
 mod still;
 
+pub use dice::Dice;
 pub use error::Error;
 pub use reader::{RATES_HZ, Recording, Truth, read_orientations, read_tum_orientations, write_orientations};
 pub use score::{Pair, Score, score};
