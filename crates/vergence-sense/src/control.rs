@@ -13,6 +13,32 @@ pub struct Axis(pub Option<f32>);
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vector2(pub Option<[f32; 2]>);
 
+/// What a finger, a pen or a pointer does on a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touch {
+    /// Which contact: the same number from the first touch to the last; free for another one after that.
+    pub contact: u32,
+    /// On the surface: x to the right, y down, in the stream's unit (pixels where it says nothing).
+    pub position: [f64; 2],
+    /// What happened.
+    pub phase: TouchPhase,
+}
+
+/// What a contact with a surface does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum TouchPhase {
+    /// Near, or a pointer without a pressed button: it does not touch.
+    Hovers,
+    /// It touches from now on.
+    Begins,
+    /// It has moved.
+    Moves,
+    /// It does not touch any more.
+    Ends,
+    /// It was no touch after all, or it left the surface: what it did should be undone.
+    Cancelled,
+}
+
 /// A pulse that a hand feels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Haptic {

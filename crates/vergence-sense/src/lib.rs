@@ -22,15 +22,17 @@ mod imu;
 mod pose;
 mod raw;
 mod said;
+mod source;
 
 pub use body::{Gaze, HandJoint, HandJoints, JOINTS_PER_HAND, JointPose};
-pub use control::{Axis, Button, Haptic, Vector2};
+pub use control::{Axis, Button, Haptic, Touch, TouchPhase, Vector2};
 pub use happening::{Event, FrameHash, FrameTiming, Scalar};
 pub use image::Image;
 pub use imu::Imu;
 pub use pose::{Pose, Tracking, Velocity};
 pub use raw::{RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Validity};
 pub use said::{Body, ControlState, Said};
+pub use source::{Progress, Reading, ReadingKind, Sink, Source, SourceStream};
 
 use vergence_time::Timestamp;
 

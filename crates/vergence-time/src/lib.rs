@@ -5,7 +5,8 @@
 //! does none of these. There is no "no time" value: absence is `Option`.
 //!
 //! This crate reads no clock. Who needs to wait or to ask for "now" is handed a [`Clock`]; tests hand over a
-//! [`HandClock`] that they move themselves. It depends on nothing else of Vergence.
+//! [`HandClock`] that they move themselves. What a device says of its own clock becomes session time by a [`ClockMap`]. It
+//! depends on nothing else of Vergence.
 //!
 //! ```
 //! use vergence_time::{Span, Timestamp};
@@ -16,8 +17,12 @@
 #![forbid(unsafe_code)]
 
 mod clock;
+mod clock_map;
+mod counter;
 
 pub use clock::{Clock, HandClock, HostClock};
+pub use clock_map::{ClockKnobs, ClockMap, ClockState};
+pub use counter::{Counter, CounterError};
 
 /// An instant: nanoseconds since the epoch of its clock. Negative instants are legal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]

@@ -1,0 +1,281 @@
+//! Laws of the clock map, against simulated devices whose capture times are known.
+
+use proptest::prelude::*;
+use vergence_time::{ClockKnobs, ClockMap, Counter, Span, Timestamp};
+
+/// Splitmix64: the tests need dice, not good ones.
+struct Dice(u64);
+
+impl Dice {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+}
+
+/// How long readings take, milliseconds.
+#[derive(Clone, Copy, Debug)]
+enum Latency {
+    Uniform(f64, f64),
+    /// Least, mean above it, most.
+    Exponential(f64, f64, f64),
+    /// A reading waits for the next of the bus's turns.
+    Turns(f64),
+    /// Load that comes and goes, between these; now and then there is none.
+    Wandering(f64, f64),
+}
+
+/// How readings are handed over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Order {
+    /// One after the other, as they were sent, though a late one's successor may bear an earlier arrival.
+    Sent,
+    /// As they arrive: one may overtake another.
+    Arrival,
+    /// As on a wire: none overtakes.
+    Wire,
+}
+
+#[derive(Clone, Debug)]
+struct Device {
+    drift_ppm: f64,
+    starts_at: u64,
+    counter: Counter,
+    tick_ns: f64,
+    rate_hz: f64,
+    latency: Latency,
+    order: Order,
+    /// Second, by how many milliseconds the device's clock is set on.
+    jumps: Vec<(f64, f64)>,
+    /// Second from which on the counter begins anew.
+    reset: Option<f64>,
+    seed: u64,
+}
+
+impl Default for Device {
+    fn default() -> Self {
+        Self {
+            drift_ppm: 120.0,
+            starts_at: u64::from(u32::MAX) - 35_000_000,
+            counter: Counter::MICROS_32,
+            tick_ns: 1000.0,
+            rate_hz: 1000.0,
+            latency: Latency::Uniform(1.0, 30.0),
+            order: Order::Sent,
+            jumps: Vec::new(),
+            reset: None,
+            seed: 1,
+        }
+    }
+}
+
+impl Device {
+    /// Of each reading: captured, raw, arrived.
+    fn readings(&self, secs: f64) -> Vec<(i64, u64, i64)> {
+        let (mut dice, mut load) = (Dice(self.seed), 0.5f64);
+        let readings = (0..(secs * self.rate_hz) as i64).map(|index| {
+            let at_s = index as f64 / self.rate_hz;
+            let jump_ms: f64 = self.jumps.iter().filter(|jump| at_s >= jump.0).map(|jump| jump.1).sum();
+            let (begun, since) = match self.reset {
+                Some(reset) if at_s >= reset => (0, at_s - reset),
+                _ => (self.starts_at, at_s),
+            };
+            let device_ns = since * 1e9 * (1.0 + self.drift_ppm * 1e-6) + jump_ms * 1e6;
+            let mask = if self.counter.bits() == 64 { u64::MAX } else { (1 << self.counter.bits()) - 1 };
+            let raw = begun.wrapping_add_signed((device_ns / self.tick_ns) as i64) & mask;
+            let captured = (at_s * 1e9).round();
+            let latency_ms = match self.latency {
+                Latency::Uniform(least, most) => least + (most - least) * dice.unit(),
+                Latency::Exponential(least, mean, most) => {
+                    (least - mean * (1.0 - dice.unit()).ln()).min(most)
+                }
+                Latency::Wandering(least, most) => {
+                    load = (load + 1.2 * (dice.unit() - 0.5)).clamp(-0.3, 1.0);
+                    least + (most - least) * load.max(0.0)
+                }
+                Latency::Turns(turn) => {
+                    let next = ((captured * 1e-6 + 0.2) / turn).ceil() * turn;
+                    next - captured * 1e-6 + 0.05 * dice.unit()
+                }
+            };
+            (captured as i64, raw, captured as i64 + (latency_ms * 1e6) as i64)
+        });
+        let mut readings: Vec<_> = readings.collect();
+        match self.order {
+            Order::Sent => {}
+            Order::Arrival => readings.sort_by_key(|reading| reading.2),
+            Order::Wire => {
+                let mut before = i64::MIN;
+                for (_, _, arrived) in &mut readings {
+                    before = before.max(*arrived);
+                    *arrived = before;
+                }
+            }
+        }
+        readings
+    }
+}
+
+/// Times on the map less capture, milliseconds, of readings captured between two seconds.
+fn errors_ms(readings: &[(i64, u64, i64)], map: &mut ClockMap) -> Vec<(f64, f64)> {
+    let each = readings.iter().map(|&(captured, raw, arrived)| {
+        let mapped = map.map(raw, Timestamp::from_nanos(arrived)).as_nanos();
+        (captured as f64 * 1e-9, (mapped - captured) as f64 * 1e-6)
+    });
+    each.collect()
+}
+
+fn p99(errors: &[(f64, f64)], from_s: f64, to_s: f64, wanted_ms: f64) -> f64 {
+    let within = errors.iter().filter(|(at, _)| (from_s..to_s).contains(at));
+    let mut sizes: Vec<f64> = within.map(|(_, error)| (error - wanted_ms).abs()).collect();
+    assert!(sizes.len() > 100, "only {} readings between {from_s} s and {to_s} s", sizes.len());
+    sizes.sort_by(f64::total_cmp);
+    sizes[sizes.len() * 99 / 100]
+}
+
+/// The bound, 99th percentile.
+const BOUND_MS: f64 = 0.5;
+
+#[test]
+fn drift_a_wrap_and_a_jump_behind_latency_of_1_to_30_ms() {
+    for (latency, order) in [
+        (Latency::Uniform(1.0, 30.0), Order::Sent),
+        (Latency::Uniform(1.0, 30.0), Order::Arrival),
+        (Latency::Exponential(1.0, 6.0, 30.0), Order::Sent),
+        (Latency::Wandering(1.0, 30.0), Order::Wire),
+    ] {
+        for jump_ms in [250.0, -250.0, 37.0, -37.0, 3.0, -3.0, 60_000.0, -60_000.0] {
+            for seed in 0..2 {
+                // The counter wraps at 35 s.
+                let device =
+                    Device { latency, order, jumps: vec![(50.0, jump_ms)], seed, ..Device::default() };
+                let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+                let errors = errors_ms(&device.readings(80.0), &mut map);
+                let (before, after) = (p99(&errors, 10.0, 49.9, 1.0), p99(&errors, 60.0, 80.0, 1.0));
+                println!(
+                    "{latency:?} {order:?} jump {jump_ms} ms seed {seed}: {before:.3} ms, {after:.3} ms, {:?}",
+                    map.state()
+                );
+                assert!(before <= BOUND_MS && after <= BOUND_MS, "{device:?}: {before} ms, {after} ms");
+                // Where readings overtake each other, those that were on the way stand on either side of the jump; where the
+                // load stays for a second, that looks like another one.
+                assert!(order != Order::Sent || map.state().jumps == 1, "{device:?}");
+                assert!((map.state().drift_ppm.unwrap() - 120.0).abs() < 20.0, "{:?}", map.state());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_declared_latency_is_subtracted() {
+    let device = Device::default();
+    let readings = device.readings(20.0);
+    let mut plain = ClockMap::new(ClockKnobs::new(device.counter));
+    let least_latency = Span::from_millis(1);
+    let mut declared = ClockMap::new(ClockKnobs { least_latency, ..ClockKnobs::new(device.counter) });
+    let (plain, declared) = (errors_ms(&readings, &mut plain), errors_ms(&readings, &mut declared));
+    assert!(p99(&declared, 10.0, 20.0, 0.0) <= BOUND_MS);
+    for (a, b) in plain.iter().zip(&declared).skip(100) {
+        assert!((a.1 - b.1 - 1.0).abs() < 1e-9, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn a_device_that_begins_anew_is_followed() {
+    let device = Device { reset: Some(30.0), ..Device::default() };
+    let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+    let errors = errors_ms(&device.readings(60.0), &mut map);
+    let after = p99(&errors, 40.0, 60.0, 1.0);
+    assert!(after <= BOUND_MS && map.state().jumps == 1, "{after} ms, {:?}", map.state());
+}
+
+#[test]
+fn a_stall_of_the_host_is_no_jump() {
+    let device = Device { starts_at: 0, ..Device::default() };
+    let mut readings = device.readings(60.0);
+    // Nobody read from 30.0 s to 30.6 s: the kernel kept it.
+    for (captured, _, arrived) in &mut readings {
+        if (30_000_000_000..30_600_000_000).contains(captured) {
+            *arrived = (*arrived).max(30_600_000_000);
+        }
+    }
+    let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+    let errors = errors_ms(&readings, &mut map);
+    let around = p99(&errors, 29.0, 32.0, 1.0);
+    assert!(around <= BOUND_MS && map.state().jumps == 0, "{around} ms, {:?}", map.state());
+    assert!(map.state().residual.as_millis_f64() < 1.0);
+}
+
+#[test]
+fn equal_readings_and_slow_ones_are_served() {
+    // 1 Hz, every latency of the same size: a heart-rate belt.
+    let device = Device { rate_hz: 1.0, latency: Latency::Uniform(20.0, 20.0), ..Device::default() };
+    let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+    for (at, error) in errors_ms(&device.readings(600.0), &mut map) {
+        assert!((error - 20.0).abs() < 0.5, "{error} ms at {at} s");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+
+    /// Any drift that oscillators have, any jump, any of the usual counters and latencies.
+    #[test]
+    fn capture_and_least_latency_are_found(
+        drift_ppm in -500.0..500.0f64,
+        jump_ms in prop_oneof![-5000.0..-2.0f64, 2.0..5000.0f64],
+        starts_at: u64,
+        latency in prop_oneof![
+            (0.1..5.0f64, 0.5..30.0f64).prop_map(|(least, more)| Latency::Uniform(least, least + more)),
+            (0.1..5.0f64, 0.2..8.0f64).prop_map(|(least, mean)| Latency::Exponential(least, mean, 60.0)),
+            Just(Latency::Turns(7.3)),
+            (0.1..5.0f64, 0.5..30.0f64).prop_map(|(least, more)| Latency::Wandering(least, least + more)),
+        ],
+        counter in prop_oneof![
+            Just((Counter::MICROS_32, 1e3)),
+            Just((Counter::NANOS_64, 1.0)),
+            Just((Counter::new(24, 1_000_000, 32_768 / 1000).expect("a counter"), 1e6 / 32.0)),
+        ],
+        seed: u64,
+    ) {
+        let (counter, tick_ns) = counter;
+        let starts_at = if counter.bits() == 64 { starts_at / 2 } else { starts_at & ((1 << counter.bits()) - 1) };
+        let jumps = vec![(25.0, jump_ms)];
+        let device = Device { drift_ppm, starts_at, counter, tick_ns, latency, jumps, seed, ..Device::default() };
+        let mut map = ClockMap::new(ClockKnobs::new(counter));
+        let errors = errors_ms(&device.readings(45.0), &mut map);
+        let least = match latency { Latency::Uniform(l, _) | Latency::Exponential(l, ..) | Latency::Wandering(l, _) => l, Latency::Turns(_) => 0.2 };
+        for (from, to) in [(10.0, 24.9), (35.0, 45.0)] {
+            let error = p99(&errors, from, to, least);
+            prop_assert!(error <= BOUND_MS, "{from} s to {to} s: {error} ms, {:?}", map.state());
+        }
+    }
+
+    /// Whatever comes, results are causal, ordered, and there is no panic.
+    #[test]
+    fn anything_is_survived(
+        bits in 8u32..=64,
+        steps in prop::collection::vec((any::<u64>(), prop_oneof![0..50_000_000i64, any::<i64>()]), 1..400),
+        least in any::<i64>(),
+    ) {
+        let counter = Counter::new(bits, 1000, 1).unwrap();
+        let least_latency = Span::from_nanos(least);
+        let mut map = ClockMap::new(ClockKnobs { least_latency, ..ClockKnobs::new(counter) });
+        let mut arrived = 0i64;
+        for (raw, step) in steps {
+            arrived = arrived.saturating_add(step);
+            let at = Timestamp::from_nanos(arrived);
+            let mapped = map.map(raw, at);
+            prop_assert!(mapped <= at);
+            let state = map.state();
+            prop_assert!(state.drift_ppm.is_none_or(f64::is_finite));
+        }
+    }
+}
