@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use serde_json::json;
 use vergence_geom::{Fov, FovError, View};
-use vergence_render::camera::{look_at, stereo};
+use vergence_render::camera::{look_along, look_at, stereo};
 use vergence_scene::Scene;
 use vergence_scene::model::{Bounds, WorldTransforms};
 
@@ -46,8 +46,7 @@ impl Framing {
         if let Some((node, camera)) = with_camera {
             let world = WorldTransforms::at_rest(scene).world_from_node[node];
             let origin = Point3::from(world.translation);
-            let ahead = world.linear * -Vector3::z();
-            let world_from_head = look_at(&origin, &(origin + ahead));
+            let world_from_head = look_along(&origin, &(world.linear * -Vector3::z()));
             let fov_y_rad = f64::from(scene.cameras[camera].fov_y_rad);
             return Self { world_from_head, fov_y_rad, ipd_m, near_m, source: "camera" };
         }
@@ -72,22 +71,27 @@ impl Framing {
     /// Looks from `eye` at `target`; what is not given stays, or is the middle of the scene.
     ///
     /// # Errors
-    /// A sentence, where both are the same point: nobody can say which way that looks.
+    /// A sentence, where both are the same point, or too far apart for numbers: nobody can say which way that looks.
     pub fn look(
         &mut self,
         eye: Option<Point3<f64>>,
         target: Option<Point3<f64>>,
         scene: &Scene,
     ) -> Result<(), String> {
+        let target_is_given = target.is_some();
         let eye = eye.unwrap_or(Point3::from(self.world_from_head.translation.vector));
         let target = target.unwrap_or_else(|| scene.bounds().centre());
-        if !(target - eye).norm().is_normal() {
-            let [x, y, z]: [f64; 3] = eye.into();
+        let ahead = target - eye;
+        if !ahead.amax().is_normal() {
+            let point = |p: Point3<f64>| format!("{:?},{:?},{:?}", p.x, p.y, p.z);
+            let hint = if target_is_given { "" } else { " (the middle of the scene); give --target" };
             return Err(format!(
-                "expected an eye position and a target that differ, found {x},{y},{z} for both; give --target"
+                "expected an eye position and a target that say a direction, found {} and {}{hint}",
+                point(eye),
+                point(target)
             ));
         }
-        self.world_from_head = look_at(&eye, &target);
+        self.world_from_head = look_along(&eye, &ahead);
         self.source = "given";
         Ok(())
     }
@@ -144,6 +148,22 @@ pub fn point(text: &str) -> Result<Point3<f64>, String> {
         Ok(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(Point3::new(x, y, z)),
         _ => Err(format!("expected three numbers such as 0,1.6,-2, found {text:?}")),
     }
+}
+
+/// Parses a vertical field of view, degrees.
+pub fn fov_y_deg(text: &str) -> Result<f64, String> {
+    let degrees: Option<f64> = text.parse().ok();
+    degrees
+        .filter(|degrees| *degrees > 0.0 && *degrees < 180.0)
+        .ok_or_else(|| format!("expected degrees between 0 and 180, found {text:?}"))
+}
+
+/// Parses a distance between the eyes, millimetres.
+pub fn ipd_mm(text: &str) -> Result<f64, String> {
+    let millimetres: Option<f64> = text.parse().ok();
+    millimetres
+        .filter(|millimetres| (0.0..=1000.0).contains(millimetres))
+        .ok_or_else(|| format!("expected 0 to 1000 mm, found {text:?}"))
 }
 
 /// Parses "WxH".
