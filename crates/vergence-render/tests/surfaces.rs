@@ -39,7 +39,7 @@ fn textured(rgba: &[[u8; 4]], width: u32, sampler: Sampler, uv_from_uv: [[f32; 3
     };
     let mut scene = with_mesh(quad(2.0), material);
     let height = rgba.len() as u32 / width;
-    scene.images.push(Image { name: "test".into(), width, height, rgba: rgba.concat() });
+    scene.images.push(Image { name: "test".into(), width, height, rgba: rgba.concat() }.into());
     scene.textures.push(Texture { image: 0, sampler });
     scene
 }
@@ -121,7 +121,7 @@ fn each_texture_has_its_own_coordinates() {
     let Some(device) = device() else { return };
     // Base colour from set 0, emission from set 1, which is upside down.
     let mut scene = textured(&[R, R, K, K], 2, NEAREST, Texture::UNTRANSFORMED);
-    scene.images.push(Image { name: "glow".into(), width: 1, height: 2, rgba: [B, K].concat() });
+    scene.images.push(Image { name: "glow".into(), width: 1, height: 2, rgba: [B, K].concat() }.into());
     scene.textures.push(Texture { image: 1, sampler: NEAREST });
     let primitive = &mut scene.meshes[0].primitives[0];
     primitive.uv1 = primitive.uv0.iter().map(|[u, v]| [*u, 1.0 - v]).collect();

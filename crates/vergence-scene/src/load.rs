@@ -43,6 +43,9 @@ pub fn load_with(path: &Path, limits: &Limits, progress: &mut dyn FnMut(Progress
         }
     };
     crate::picture::keep_stand_ins_for_colours(&mut scene);
+    if !scene.shows_something() {
+        import.warn("there is nothing to see: expected a surface or a label, found none");
+    }
     scene.warnings = import.take_warnings();
     scene.files = import.take_read();
     Ok(scene)

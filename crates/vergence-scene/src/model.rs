@@ -1,5 +1,7 @@
 //! The one internal model: every importer ends here, every consumer starts here.
 
+use std::sync::Arc;
+
 use nalgebra::{Point3, Vector3};
 use vergence_geom::{Affine, Rigid, Trs};
 
@@ -16,8 +18,8 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// An image and how it is sampled.
     pub textures: Vec<Texture>,
-    /// Pictures, decoded.
-    pub images: Vec<Image>,
+    /// Pictures, decoded; shared between copies of the scene.
+    pub images: Vec<Arc<Image>>,
     /// Joints that move vertices.
     pub skins: Vec<Skin>,
     /// Clips that move nodes.
@@ -483,6 +485,12 @@ impl WorldTransforms {
 }
 
 impl Scene {
+    /// Whether some node shows a surface or a text.
+    pub fn shows_something(&self) -> bool {
+        let has_triangles = |mesh: usize| self.meshes[mesh].primitives.iter().any(|p| !p.indices.is_empty());
+        self.nodes.iter().any(|node| node.label.is_some() || node.mesh.is_some_and(has_triangles))
+    }
+
     /// The box around all vertices of all nodes at rest (skinned meshes in bind pose by their node), metres.
     /// O(vertices).
     pub fn bounds(&self) -> Bounds {

@@ -196,7 +196,7 @@ fn texture(
                 // Also names outside of the folder, which exporters write: nothing is read there.
                 Err(error) => crate::picture::stand_in(import, &name, &error),
             };
-            scene.images.push(image);
+            scene.images.push(image.into());
             scene.images.len() - 1
         }
     };

@@ -74,7 +74,8 @@ fn is_stand_in(image: &Image) -> bool {
 pub(crate) fn keep_stand_ins_for_colours(scene: &mut Scene) {
     let Scene { materials, textures, images, .. } = scene;
     let stands_in = |texture: &TextureRef| {
-        textures.get(texture.texture).and_then(|texture| images.get(texture.image)).is_some_and(is_stand_in)
+        let image = textures.get(texture.texture).and_then(|texture| images.get(texture.image));
+        image.is_some_and(|image| is_stand_in(image))
     };
     for material in materials {
         if let Shading::MetallicRoughness { texture, .. } = &mut material.shading {

@@ -380,7 +380,7 @@ impl Builder<'_, '_> {
                         image
                     }
                 };
-                self.scene.images.push(image);
+                self.scene.images.push(image.into());
                 self.images.insert(name.clone(), self.scene.images.len() - 1);
                 self.scene.images.len() - 1
             }

@@ -359,6 +359,31 @@ fn what_is_required_but_unknown_is_an_error_that_names_it() {
     assert!(error.contains("its own ancestor"), "{error}");
 }
 
+/// A file that shows nothing is legal, and hardly what was meant.
+#[test]
+fn nothing_to_see_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in [
+        ("a.obj", "v 0 0 0\n"),
+        ("a.toml", "ambient = [1, 1, 1]\n"),
+        ("a.gltf", r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{}]}"#),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let scene = loaded(&path);
+        assert!(
+            scene.warnings.iter().any(|said| said.contains("nothing to see")),
+            "{name}: {:?}",
+            scene.warnings
+        );
+        assert!(!scene.shows_something());
+    }
+    let path = folder.path().join("empty.glb");
+    std::fs::write(&path, "").unwrap();
+    let error = load(&path, &Limits::default()).unwrap_err().to_string();
+    assert!(error.ends_with("empty.glb: byte 0: expected glTF, found an empty file"), "{error}");
+}
+
 /// Whether the only picture is the one that stands for pictures that are not there, with one warning.
 fn is_stand_in(scene: &Scene) -> bool {
     let warned = scene.warnings.iter().filter(|warning| warning.contains("is not there")).count();

@@ -46,7 +46,7 @@ pub(crate) struct Markers {
 }
 
 /// The scene with the markers that a run shows, and with their materials; the very same scene where nothing can be touched.
-/// The nodes that it had keep their places. The scene is copied, images and all: O(scene), once per run.
+/// The nodes that it had keep their places. Vertices are copied, once per run; images are shared.
 pub fn with_markers(scene: &Arc<Scene>) -> Arc<Scene> {
     if scene.touchables.is_empty() {
         return Arc::clone(scene);
@@ -212,6 +212,8 @@ fn vertex(primitive: &mut Primitive, at: &Vector3<f64>, out: &Vector3<f64>) {
 
 #[cfg(test)]
 mod tests {
+    use vergence_scene::model::Image;
+
     use super::*;
 
     fn boxed(middle: Point3<f64>, size: Vector3<f64>) -> Scene {
@@ -239,8 +241,11 @@ mod tests {
         let size = [0.2, 0.4, 0.6];
         let mut scene = boxed(Point3::new(1.0, 2.0, 3.0), Vector3::from(size));
         scene.touchables.push(Touchable { name: "it".into(), node: 0 });
+        let rgba = vec![255; 4];
+        scene.images.push(Arc::new(Image { name: "white".into(), width: 1, height: 1, rgba }));
         let scene = Arc::new(scene);
         let marked = with_markers(&scene);
+        assert!(Arc::ptr_eq(&marked.images[0], &scene.images[0]), "a picture was copied");
         assert_eq!(marked.nodes.len(), scene.nodes.len() + OF_HANDS + 2);
         for frame in &marked.nodes[scene.nodes.len() + OF_HANDS..] {
             assert_eq!(frame.parent, Some(0));

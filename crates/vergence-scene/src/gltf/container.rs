@@ -21,6 +21,9 @@ pub(super) struct Container {
 impl Container {
     /// Finds the chunks of a `.glb`, or takes the whole file as JSON.
     pub fn parse(path: &Path, bytes: &[u8]) -> Result<Self, Error> {
+        if bytes.is_empty() {
+            return Err(Error::invalid(path, "byte 0", "expected glTF, found an empty file"));
+        }
         if !bytes.starts_with(b"glTF") {
             return Ok(Self { json: 0..bytes.len(), binary: None, json_place: "JSON" });
         }

@@ -1,6 +1,7 @@
 //! Materials, textures, samplers, images.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use super::accessor::Accessors;
 use super::{extension, raw};
@@ -12,7 +13,7 @@ use crate::model::{Alpha, Image, Material, Mip, Sampler, Shading, Texture, Textu
 pub(super) struct Looks {
     pub materials: Vec<Material>,
     pub textures: Vec<Texture>,
-    pub images: Vec<Image>,
+    pub images: Vec<Arc<Image>>,
 }
 
 pub(super) fn looks(import: &mut Import<'_>, accessors: &Accessors<'_>) -> Result<Looks, Error> {
@@ -33,7 +34,7 @@ pub(super) fn looks(import: &mut Import<'_>, accessors: &Accessors<'_>) -> Resul
     let count = builder.images.len();
     for (done, &index) in builder.images.iter().enumerate() {
         import.progress("images", done, count);
-        images.push(image(import, accessors, index)?);
+        images.push(Arc::new(image(import, accessors, index)?));
     }
     import.progress("images", count, count);
     Ok(Looks { materials, textures: builder.textures, images })
