@@ -186,6 +186,28 @@ fn no_circle_in_the_table() {
 }
 
 #[test]
+fn what_the_workspace_lists_is_used() {
+    let workspace = manifest(checkout());
+    let listed = workspace["workspace"]["dependencies"].as_table().expect("a table of dependencies");
+    let mut members: Vec<PathBuf> = rooms().into_values().collect();
+    members.extend(["tools/vergence", "tests"].map(|member| checkout().join(member)));
+    let mut used = BTreeSet::new();
+    for member in &members {
+        let manifest = manifest(member);
+        for kind in ["dependencies", "build-dependencies", "dev-dependencies"] {
+            used.append(&mut dependencies(&manifest, kind));
+        }
+    }
+    // A room may be at the top, where nobody imports it; what others wrote is here for somebody.
+    let idle: Vec<&String> = listed
+        .iter()
+        .filter(|(name, value)| value.get("path").is_none() && !used.contains(*name))
+        .map(|(name, _)| name)
+        .collect();
+    assert!(idle.is_empty(), "listed in Cargo.toml, used by no member: {idle:?}");
+}
+
+#[test]
 fn a_foreign_interface_has_one_room() {
     for (room, folder) in &rooms() {
         let manifest = manifest(folder);
