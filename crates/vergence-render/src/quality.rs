@@ -45,6 +45,9 @@ impl Default for Quality {
 }
 
 impl Quality {
+    /// Range of [`Quality::render_scale`].
+    pub const RENDER_SCALES: std::ops::RangeInclusive<f64> = 0.1..=2.0;
+
     /// The anisotropy on a device with `limits`: what was asked for, which [`Quality::check`] may refuse, else the
     /// default as far as the device has it.
     pub fn anisotropy_on(&self, limits: &vergence_gpu::Limits) -> f32 {
@@ -62,8 +65,10 @@ impl Quality {
             let expected = format!("1 to {} on {}", limits.max_anisotropy, limits.name);
             return Err(Error::range("anisotropy", expected, anisotropy));
         }
-        if !(0.1..=2.0).contains(&self.render_scale) {
-            return Err(Error::range("render scale", "0.1 to 2", self.render_scale));
+        let scales = Self::RENDER_SCALES;
+        if !scales.contains(&self.render_scale) {
+            let expected = format!("{} to {}", scales.start(), scales.end());
+            return Err(Error::range("render scale", expected, self.render_scale));
         }
         if !(self.near_m > 0.0 && self.near_m.is_finite()) {
             return Err(Error::range("near plane (m)", "positive", self.near_m));

@@ -54,6 +54,10 @@ impl Capture {
     /// Makes the folder; `frames` is how long the run will be, where that is known.
     pub(crate) fn start(config: &CaptureConfig, frames: Option<u64>) -> Result<Self, Error> {
         let dir = config.dir.clone();
+        if dir.exists() && !dir.is_dir() {
+            let place = dir.display();
+            return Err(Error::Call(format!("--capture {place}: expected a folder, found something else")));
+        }
         std::fs::create_dir_all(&dir).map_err(Error::write(&dir))?;
         replace_earlier_run(&dir)?;
         let every = match config.every {

@@ -53,7 +53,10 @@ pub(crate) fn choose(
         }
         HeadsetChoice::Auto => match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
             Ok(connection) => real(config, connection, "a runtime with a headset was found".into()),
-            Err(error) => simulated(config, plan, handed, format!("no real one: {error}")),
+            Err(error) => {
+                log::info!("{error}");
+                simulated(config, plan, handed, error.brief())
+            }
         },
     }
 }

@@ -123,7 +123,7 @@ pub struct RunReport {
 
 impl std::fmt::Display for RunReport {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        writeln!(f, "headset        {} ({})", self.headset, self.why)?;
+        writeln!(f, "headset        {}", self.headset)?;
         writeln!(f, "device         {}", self.device)?;
         writeln!(
             f,

@@ -197,6 +197,9 @@ fn check(config: &RunConfig) -> Result<(), Error> {
         _ => Ok(()),
     };
     positive("--seconds", config.seconds)?;
+    if !(config.wait_s >= 0.0 && config.wait_s.is_finite()) {
+        return Err(Error::Call(format!("--wait: expected 0 or more seconds, found {}", config.wait_s)));
+    }
     positive("--patience", Some(config.patience_s))?;
     positive("hang_s", Some(config.hang_s))?;
     positive("--refresh-rate", config.refresh_rate_hz.map(f64::from))?;

@@ -24,7 +24,7 @@ pub enum Error {
     /// There is no display to open a window on.
     #[error("no display to open a window on ({detail}); set DISPLAY, or run without a window")]
     NoDisplay {
-        /// What the window system said.
+        /// What is missing.
         detail: String,
     },
     /// A library of the window system is not installed.
@@ -85,7 +85,7 @@ impl Window {
             other => {
                 IDLE_LOOP.set(Some(event_loop));
                 let detail = match other {
-                    Some(Err(error)) => error.to_string(),
+                    Some(Err(error)) => without_place(&error.to_string()),
                     _ => "the event loop did not start".into(),
                 };
                 return Err(Error::Refused { detail });
@@ -166,11 +166,41 @@ fn new_loop() -> Result<EventLoop<()>, Error> {
         winit::error::EventLoopError::RecreationAttempt => {
             FAILED.get().cloned().unwrap_or(Error::OtherThread)
         }
-        error => FAILED.get_or_init(|| Error::NoDisplay { detail: error.to_string() }).clone(),
+        _ => FAILED.get_or_init(|| Error::NoDisplay { detail: absent_display() }).clone(),
     })
+}
+
+/// Why there is no display, in the user's words: the window system's library speaks of variables that are not used here.
+fn absent_display() -> String {
+    match std::env::var_os("DISPLAY") {
+        Some(name) if !name.is_empty() => format!("nobody answers at DISPLAY={}", name.to_string_lossy()),
+        _ => "DISPLAY is not set".into(),
+    }
+}
+
+/// What the window system's library said, without the line of its source that said it (`os error at FILE:LINE: WHAT`).
+fn without_place(text: &str) -> String {
+    let what = text.strip_prefix("os error at ").and_then(|rest| {
+        let (_, rest) = rest.split_once(".rs:")?;
+        Some(rest.trim_start_matches(|c: char| c.is_ascii_digit()).trim_start_matches(": "))
+    });
+    what.unwrap_or(text).to_owned()
 }
 
 fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str);
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("the window system panicked").into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_a_library_was_built_is_nobodys_business() {
+        let said =
+            "os error at /home/somebody/.cargo/winit-0.30/src/linux/mod.rs:788: Failed to open connection";
+        assert_eq!(without_place(said), "Failed to open connection");
+        assert_eq!(without_place("a sentence: as it is"), "a sentence: as it is");
+    }
 }

@@ -30,5 +30,10 @@ fn no_display_is_an_error() {
         let told = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
         assert_eq!(told.matches("told: ").count(), 2, "{told}");
+        // What is said is for the user: what is missing, not which line of a library missed it.
+        assert!(!told.contains(".rs:") && !told.contains("cargo"), "{told}");
+        let missing = display
+            .map_or("DISPLAY is not set".to_owned(), |name| format!("nobody answers at DISPLAY={name}"));
+        assert!(told.contains(&missing) || told.contains("is missing; install"), "{told}");
     }
 }

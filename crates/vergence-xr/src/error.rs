@@ -129,6 +129,16 @@ impl Error {
         }
     }
 
+    /// What is missing, in a few words, where something is; else the whole sentence.
+    pub fn brief(&self) -> String {
+        match self {
+            Self::NoLoader { .. } => "no OpenXR loader is installed".to_owned(),
+            Self::NoRuntime { .. } => "no OpenXR runtime answers".to_owned(),
+            Self::NoHeadset { runtime, .. } => format!("the OpenXR runtime {runtime} has no headset"),
+            other => other.to_string(),
+        }
+    }
+
     pub(crate) fn of(call: &'static str, result: sys::Result) -> Self {
         match result {
             sys::Result::ERROR_SESSION_LOST => Self::SessionLost { call },

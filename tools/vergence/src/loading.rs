@@ -22,11 +22,12 @@ fn name_is_right(path: &Path) -> Result<(), Failure> {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
             let data = std::env::var_os("VERGENCE_DATA").map(|folder| Path::new(&folder).join(path));
             match data.filter(|there| there.is_file()) {
-                Some(there) => format!("none; did you mean {}?", there.display()),
-                None => "none".to_owned(),
+                Some(there) => format!("no such file; did you mean {}?", there.display()),
+                None => "no such file".to_owned(),
             }
         }
-        Err(error) => error.to_string(),
+        // It may well be right.
+        Err(error) => return Err(Failure::Work(format!("{}: {error}", path.display()))),
     };
     let endings = vergence_scene::ENDINGS.map(|ending| format!(".{ending}")).join(", ");
     Err(Failure::Call(format!("{}: expected a scene file ({endings}), found {found}", path.display())))

@@ -35,10 +35,10 @@ pub struct Args {
     #[arg(long, value_name = "X,Y,Z", value_parser = framing::point, allow_hyphen_values = true)]
     target: Option<nalgebra::Point3<f64>>,
     /// Vertical field of view, degrees, between 0 and 180; default: the camera's, else 60
-    #[arg(long, value_name = "DEG")]
+    #[arg(long, value_name = "DEG", value_parser = framing::fov_y_deg, allow_negative_numbers = true)]
     fov_y: Option<f64>,
     /// Distance between the eyes, millimetres; default: 63, with --view three 64
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = framing::ipd_mm, allow_negative_numbers = true)]
     ipd: Option<f64>,
     /// `three`: the cameras of the peer's benchmark (eyes ±32 mm, 60°), nothing animated
     #[arg(long, value_enum, conflicts_with_all = ["eye_position", "target", "fov_y", "ipd"])]
@@ -54,7 +54,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = Quality::default().msaa)]
     msaa: u32,
     /// Texture samples along the line of sight [default: 4, or what the device has]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     anisotropy: Option<f32>,
     /// Leaves normal maps out
     #[arg(long)]
@@ -275,9 +275,6 @@ impl Args {
             framing.fov_y_rad = fov_y.to_radians();
         }
         if let Some(ipd_mm) = self.ipd {
-            if !(0.0..=1000.0).contains(&ipd_mm) {
-                return Err(Failure::Call(format!("--ipd: expected 0 to 1000 mm, found {ipd_mm}")));
-            }
             framing.ipd_m = ipd_mm * 1e-3;
         }
         Ok(framing)

@@ -8,6 +8,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use vergence_session::{CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig};
 
 use crate::failure::Failure;
+use crate::framing;
 use crate::loading;
 use crate::quality::QualityFile;
 use crate::stream::Stream;
@@ -31,7 +32,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE.toml|FILE.mcap")]
     motion: Option<String>,
     /// Simulated headset: distance between the eyes [default: the profile's]
-    #[arg(long, value_name = "MM")]
+    #[arg(long, value_name = "MM", value_parser = framing::ipd_mm, allow_negative_numbers = true)]
     ipd: Option<f64>,
     /// Simulated headset: what its runtime does wrong, as in xrWaitFrame=ERROR_SESSION_LOST@100, also @100-120 or @100+
     #[arg(long, value_name = "FUNCTION=CODE[@CALL]")]
@@ -43,13 +44,13 @@ pub struct Args {
     #[arg(long, value_name = "N", conflicts_with = "seconds")]
     frames: Option<u64>,
     /// Ends after so many seconds [default: 10; with --window: never]
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     seconds: Option<f64>,
     /// Waits for a headset that is not there yet
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true)]
     wait: f64,
     /// Gives up where no first frame is shown for so long
-    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    #[arg(long, value_name = "S", default_value_t = 60.0, allow_negative_numbers = true)]
     patience: f64,
     /// Mirrors the pictures in a window until it is closed; drag to look, W A S D and Q E to go, right button
     /// or space to take what the dot is on: its frame turns green
@@ -87,7 +88,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', value_name = "STREAM")]
     with: Vec<Stream>,
     /// The display's rate: one that the headset offers [default: the headset's]
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     refresh_rate: Option<f32>,
     /// Runs under Vulkan validation with synchronization validation; a message is a failure
     #[arg(long)]
