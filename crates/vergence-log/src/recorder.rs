@@ -172,6 +172,31 @@ impl Recorder {
         let _ = attached.recv();
     }
 
+    /// Waits until everything that this thread has written so far is on the disk: for what must be safe before something
+    /// else begins. Not for the frame loop: takes a disk round trip.
+    ///
+    /// # Errors
+    /// Where the file cannot be written, which [`Recorder::failure`] then no longer says.
+    pub fn sync(&self) -> Result<(), Error> {
+        let (sender, answer) = channel();
+        self.command(Command::Sync(sender));
+        if let Some(thread) = &self.thread {
+            thread.thread().unpark();
+        }
+        if answer.recv().is_ok() {
+            return Ok(());
+        }
+        let said = self.failure.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let gone = || Error::Write {
+            path: self.path.clone(),
+            good_bytes: 0,
+            source: Arc::new(std::io::Error::other(
+                "expected a recording in progress, found one that has failed",
+            )),
+        };
+        Err(said.unwrap_or_else(gone))
+    }
+
     /// A writer that is gone takes no commands; why it is gone is said by [`Recorder::failure`].
     fn command(&self, command: Command) {
         drop(self.commands.send(command));

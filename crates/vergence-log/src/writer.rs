@@ -44,6 +44,8 @@ pub(crate) enum Command {
         /// Hears when it is done.
         done: Sender<()>,
     },
+    /// To be answered once all that was written before is on the disk.
+    Sync(Sender<()>),
 }
 
 /// A stream, ready to be written.
@@ -126,6 +128,8 @@ pub(crate) struct Writer {
     failure: Arc<Mutex<Option<Error>>>,
     inbox: Receiver<Command>,
     lanes: Vec<LaneEnd>,
+    /// Who waits for the disk.
+    waiters: Vec<Sender<()>>,
     streams: Vec<Option<Known>>,
     payload: Vec<u8>,
     /// Since when something waits to be flushed, and how much.
@@ -175,6 +179,7 @@ impl Writer {
             failure,
             inbox,
             lanes: Vec::new(),
+            waiters: Vec::new(),
             streams: Vec::new(),
             payload: Vec::with_capacity(64 << 10),
             waiting_since: None,
@@ -223,6 +228,12 @@ impl Writer {
             if more {
                 continue;
             }
+            if !self.waiters.is_empty() {
+                // What they had written when they asked was in the queues, which are empty now.
+                self.flush()?;
+                self.file.sync_data()?;
+                self.waiters.drain(..).for_each(|waiter| waiter.send(()).unwrap_or_default());
+            }
             if stopping {
                 break;
             }
@@ -257,6 +268,7 @@ impl Writer {
                     // Whoever does not wait need not hear of it.
                     let _ = done.send(());
                 }
+                Command::Sync(waiter) => self.waiters.push(waiter),
             }
         }
         Ok(())

@@ -1,0 +1,23 @@
+#![doc = include_str!("../README.md")]
+#![forbid(unsafe_code)]
+
+mod conduct;
+mod course;
+mod date;
+mod error;
+mod folder;
+mod journal;
+mod reading;
+mod record;
+mod slip;
+mod status;
+
+pub use conduct::{Conduct, Ended};
+pub use course::{Course, Goal, Reading, Showing, Step};
+pub use error::Error;
+pub use folder::{Deleted, Folder, Sitting, State};
+pub use journal::{About, Journal};
+pub use reading::{SessionLog, imported, read, write_log};
+pub use record::{Place, Record};
+pub use slip::slip;
+pub use status::{Finding, Kind, Participant, Status};
