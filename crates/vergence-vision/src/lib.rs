@@ -1,0 +1,18 @@
+#![doc = include_str!("../README.md")]
+
+mod error;
+mod fast;
+mod flow;
+mod picture;
+mod pyramid;
+mod simd;
+mod stereo;
+mod tracker;
+
+pub use error::Error;
+pub use fast::{Corner, FastDetector};
+pub use flow::{Flow, FlowKnobs, Found};
+pub use picture::Gray;
+pub use pyramid::{Level, Pyramid};
+pub use stereo::epipolar_angle;
+pub use tracker::{Frame, Prediction, Seen, StereoCount, TrackId, Tracker, TrackerKnobs};
