@@ -1,7 +1,13 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod gamepad;
+pub mod gaze;
+pub mod hid;
+pub mod mouse;
 pub mod person;
+mod smooth;
+pub mod uart;
 
 /// What a simulation cannot do.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -16,6 +22,16 @@ pub enum Error {
         /// What was given.
         found: f64,
     },
+    /// A line of a recording is wrong.
+    #[error("line {line}: expected {expected}, found {found:?}")]
+    Line {
+        /// Counted from 1.
+        line: usize,
+        /// What.
+        expected: &'static str,
+        /// The beginning of it.
+        found: String,
+    },
     /// A stimulus before the one before it.
     #[error("expected a stimulus at {latest_ns} ns or later, found one at {found_ns} ns")]
     Order {
@@ -24,4 +40,13 @@ pub enum Error {
         /// What was given.
         found_ns: i64,
     },
+}
+
+/// Refuses the first value that is not in its range: name, value, lowest, highest, the range in words.
+fn in_ranges(ranges: &[(&'static str, f64, f64, f64, &'static str)]) -> Result<(), Error> {
+    let outside = ranges.iter().find(|(_, found, low, high, _)| !(*low..=*high).contains(found));
+    match outside {
+        Some(&(what, found, _, _, expected)) => Err(Error::Parameter { what, expected, found }),
+        None => Ok(()),
+    }
 }

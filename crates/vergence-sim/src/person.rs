@@ -9,6 +9,7 @@ use vergence_inertial::Dice;
 use vergence_time::{Span, Timestamp};
 
 use crate::Error;
+use crate::smooth::{across, later, least_jerk, turn_between};
 
 /// Where the cursor can be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -120,11 +121,7 @@ impl Params {
             ("tremor_m", self.tremor_m, 0.0, 0.1, "0 to 0.1 m"),
             ("tremor_rad", self.tremor_rad, 0.0, 0.1, "0 to 0.1 rad"),
         ];
-        for (what, found, low, high, expected) in ranges {
-            if !(low..=high).contains(&found) {
-                return Err(Error::Parameter { what, expected, found });
-            }
-        }
+        crate::in_ranges(&ranges)?;
         near("start_m", &self.start_m)
     }
 }
@@ -175,13 +172,8 @@ impl Submovement {
     /// How much of it is done, 0 to 1: the polynomial of least jerk.
     fn done(&self, time: Timestamp) -> f64 {
         let passed_s = time.since(self.begins).map_or(0.0, Span::as_secs_f64);
-        let u = (passed_s / self.lasts_s).clamp(0.0, 1.0);
-        u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+        least_jerk(passed_s / self.lasts_s)
     }
-}
-
-fn later(time: Timestamp, secs: f64) -> Timestamp {
-    time.saturating_add(Span::from_secs_f64(secs).unwrap_or_default())
 }
 
 /// What a person plans next: how many submovements there will be in all, and how long this one takes, seconds.
@@ -330,16 +322,7 @@ impl Person {
     /// From where the cursor is to where it should be, as far as the geometry lets it: metres, or a rotation vector.
     fn way(&self, from: Vector3<f64>, to_m: Vector3<f64>) -> Vector3<f64> {
         match self.geometry {
-            Geometry::Directions => {
-                let to = to_m.normalize();
-                let axis = from.cross(&to);
-                let angle = axis.norm().atan2(from.dot(&to));
-                // Half a turn: about any axis across.
-                axis.try_normalize(1e-15).map_or_else(
-                    || if angle > 1.0 { across(&from)[0] * angle } else { Vector3::zeros() },
-                    |axis| axis * angle,
-                )
-            }
+            Geometry::Directions => turn_between(&from, &to_m.normalize()),
             _ => self.held(to_m - from),
         }
     }
@@ -440,11 +423,4 @@ impl Person {
     pub fn stimuli(&self) -> &[(Timestamp, Target)] {
         &self.stimuli
     }
-}
-
-/// Two directions that are perpendicular to the unit vector `along` and to each other.
-fn across(along: &Vector3<f64>) -> [Vector3<f64>; 2] {
-    let least = along.iamin();
-    let first = along.cross(&Vector3::ith(least, 1.0)).normalize();
-    [first, along.cross(&first)]
 }
