@@ -12,6 +12,7 @@ pub mod predict;
 pub mod preintegrate;
 mod reader;
 mod score;
+pub mod spline;
 mod still;
 
 pub use dice::Dice;

@@ -150,6 +150,11 @@ impl Prior {
         0.5 * (&self.root * step + &self.rest).norm_squared()
     }
 
+    /// The same knowledge about steps from another origin: `step` there is `step + by` here.
+    pub fn move_origin(&mut self, by: &DVector<f64>) {
+        self.rest += &self.root * by;
+    }
+
     /// Adds this to normal equations about `step`; unknown i of the prior is unknown `places[i]` there. Returns the cost.
     pub fn add_to(&self, normal: &mut Normal, step: &DVector<f64>, places: &[usize]) -> f64 {
         let residual = &self.root * step + &self.rest;

@@ -1,0 +1,616 @@
+//! Odometry: inertial readings and sightings in, a pose for every frame out.
+
+use std::collections::{HashMap, VecDeque};
+
+use nalgebra::{UnitQuaternion, Vector3};
+use vergence_geom::Rigid;
+use vergence_inertial::preintegrate::Biases;
+use vergence_sense::Imu;
+use vergence_solve::{Normal, Options, minimise};
+use vergence_time::{Span, Timestamp};
+
+use crate::link::{Held, Link, Motion};
+use crate::params::Params;
+use crate::shrink::{Leaving, Shrink};
+use crate::sighting::{Sighting, Way};
+use crate::window::{Anchor, Frame, Observation, Point, Window};
+
+/// How far a pose can be trusted, and what it waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// No frame yet.
+    Waiting,
+    /// Poses are provisional: gravity's direction and the velocity are not known well yet.
+    FindingGravity,
+    /// Poses are provisional: the camera has not moved far enough to see how far anything is.
+    FindingDepth,
+    /// Within three of its own standard deviations.
+    Tracked,
+    /// Too few points are seen: the inertial unit alone carries it.
+    Coasting,
+    /// Nothing holds it: the pose is the last one, or one that has been carried too long.
+    Lost,
+}
+
+/// One frame's answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// Of the frame.
+    pub time: Timestamp,
+    /// World: gravity-aligned (y up), its origin where the first frame was.
+    pub world_from_body: Rigid,
+    /// In the world, m/s.
+    pub velocity_m_s: Vector3<f64>,
+    /// Of the inertial unit; zero without one.
+    pub biases: Biases,
+    /// How far to trust it.
+    pub state: State,
+    /// Standard deviation of the position since the start (root of the trace), m.
+    pub position_sigma_m: f64,
+    /// Of the rotation since the start, rad.
+    pub rotation_sigma_rad: f64,
+    /// It became a keyframe.
+    pub keyframe: bool,
+    /// Points of the map that it sees.
+    pub known: usize,
+    /// Points of the map that were thrown away after this frame.
+    pub outliers: usize,
+}
+
+/// Sliding-window odometry; see the crate's page. Feed readings and frames in the order of time.
+#[derive(Debug)]
+pub struct Odometry {
+    window: Window,
+    readings: VecDeque<(Timestamp, Imu)>,
+    known: HashMap<u64, usize>,
+    refused: HashMap<u64, u64>,
+    normal: Normal,
+    shrink: Shrink,
+    next_id: u64,
+    settled: bool,
+    since_keyframe: usize,
+    unseen: usize,
+    last: Option<Estimate>,
+    biases: Biases,
+}
+
+/// Fewer points than this hold no pose.
+const FEWEST: usize = 6;
+/// Frames carried by the inertial unit alone until it is lost.
+const MOST_UNSEEN: usize = 40;
+/// Gravity is known when its direction is known this well, rad.
+const GRAVITY_RAD: f64 = 0.03;
+
+impl Odometry {
+    /// For a rig whose cameras sit so on the body (the inertial unit's frame; cameras x right, y down, z forward).
+    pub fn new(params: Params, body_from_cameras: Vec<Rigid>) -> Self {
+        let mut window = Window::default();
+        (window.cameras, window.params) = (body_from_cameras, params);
+        Self {
+            window,
+            readings: VecDeque::new(),
+            known: HashMap::new(),
+            refused: HashMap::new(),
+            normal: Normal::default(),
+            shrink: Shrink::default(),
+            next_id: 0,
+            settled: false,
+            since_keyframe: 0,
+            unseen: 0,
+            last: None,
+            biases: Biases::default(),
+        }
+    }
+
+    /// The last answer.
+    pub fn last(&self) -> Option<&Estimate> {
+        self.last.as_ref()
+    }
+
+    /// One inertial reading, in the body's frame. What is out of order or not finite is left out: `false`.
+    pub fn imu(&mut self, time: Timestamp, imu: &Imu) -> bool {
+        let finite = imu.gyr_rad_s.iter().chain(imu.acc_m_s2.iter()).all(|x| x.is_finite());
+        let after = self.readings.back().is_none_or(|(last, _)| *last < time);
+        if finite && after && self.window.params.inertial.is_some() {
+            self.readings.push_back((time, *imu));
+            // Without frames, the last ten seconds are enough.
+            let old = |first: &(Timestamp, Imu)| time.since(first.0).is_some_and(|s| s.as_secs_f64() > 10.0);
+            while self.readings.front().is_some_and(old) {
+                self.readings.pop_front();
+            }
+        }
+        finite && after
+    }
+
+    /// Where the body will be at `time` by the readings so far: for the tracker, and for poses between frames.
+    pub fn predict(&self, time: Timestamp) -> Option<Rigid> {
+        let last = self.window.frames.last()?;
+        Some(self.predicted(last, time).0)
+    }
+
+    fn predicted(&self, last: &Frame, time: Timestamp) -> (Rigid, Option<Motion>, Option<Link>) {
+        let Some((motion, inertial)) = last.motion.zip(self.window.params.inertial) else {
+            return (self.glide(last, time), None, None);
+        };
+        let held = self.held(last.time, time);
+        match Link::new(held, motion.biases, &self.window.params, &inertial) {
+            Some(link) => {
+                let (pose, motion) = link.follow(&last.pose, &motion);
+                (pose, Some(motion), Some(link))
+            }
+            None => {
+                let seconds = time.since(last.time).map_or(0.0, Span::as_secs_f64);
+                let mut pose = last.pose;
+                pose.translation.vector += motion.velocity_m_s * seconds.min(1.0);
+                (pose, Some(motion), None)
+            }
+        }
+    }
+
+    /// Without an inertial unit: on as between the two frames before.
+    fn glide(&self, last: &Frame, time: Timestamp) -> Rigid {
+        let frames = &self.window.frames;
+        let Some(before) = frames.len().checked_sub(2).and_then(|i| frames.get(i)) else { return last.pose };
+        let span = last.time.since(before.time).map_or(0.0, Span::as_secs_f64);
+        let ahead = time.since(last.time).map_or(0.0, Span::as_secs_f64);
+        // Across a gap of the window nothing is known of the speed.
+        if !(span > 0.0 && span < 0.5 && ahead > 0.0 && ahead < 0.5) {
+            return last.pose;
+        }
+        vergence_geom::interpolate(&before.pose, &last.pose, 1.0 + (ahead / span).min(2.0))
+    }
+
+    /// Readings that hold between two instants: the mean of each pair of neighbours, cut at both ends.
+    fn held(&self, from: Timestamp, to: Timestamp) -> Vec<Held> {
+        let nanos = |t: Timestamp| t.as_nanos();
+        let at = |a: &(Timestamp, Imu), b: &(Timestamp, Imu), t: i64| {
+            let share = (t - nanos(a.0)) as f64 / (nanos(b.0) - nanos(a.0)) as f64;
+            (a.1.gyr_rad_s.lerp(&b.1.gyr_rad_s, share), a.1.acc_m_s2.lerp(&b.1.acc_m_s2, share))
+        };
+        let mut out = Vec::new();
+        let (from, to) = (nanos(from), nanos(to));
+        let first = self.readings.partition_point(|r| nanos(r.0) <= from).saturating_sub(1);
+        let mut end = from;
+        for k in first..self.readings.len().saturating_sub(1) {
+            let (a, b) = (&self.readings[k], &self.readings[k + 1]);
+            let (begin, stop) = (nanos(a.0).max(from), nanos(b.0).min(to));
+            if stop <= begin {
+                if nanos(a.0) >= to {
+                    break;
+                }
+                continue;
+            }
+            if out.is_empty() && begin > end {
+                // Nothing was read before: the first reading is held backwards.
+                out.push(Held {
+                    gyr_rad_s: a.1.gyr_rad_s,
+                    acc_m_s2: a.1.acc_m_s2,
+                    span: Span::from_nanos(begin - end),
+                });
+            }
+            let ((ga, aa), (gb, ab)) = (at(a, b, begin), at(a, b, stop));
+            out.push(Held {
+                gyr_rad_s: (ga + gb) * 0.5,
+                acc_m_s2: (aa + ab) * 0.5,
+                span: Span::from_nanos(stop - begin),
+            });
+            end = stop;
+        }
+        if let (true, Some(last)) = (end < to, self.readings.back()) {
+            let late = to - end.max(from);
+            if !out.is_empty() || late < 100_000_000 {
+                out.push(Held {
+                    gyr_rad_s: last.1.gyr_rad_s,
+                    acc_m_s2: last.1.acc_m_s2,
+                    span: Span::from_nanos(late),
+                });
+            }
+        }
+        out
+    }
+
+    /// The first frame: level by the mean of what the accelerometer has felt.
+    fn begin(&mut self, time: Timestamp) -> Frame {
+        let inertial = self.window.params.inertial.is_some();
+        let near: Vec<&Imu> = self
+            .readings
+            .iter()
+            .filter(|r| r.0.since(time).or(time.since(r.0)).is_none_or(|s| s.as_secs_f64().abs() < 0.5))
+            .map(|r| &r.1)
+            .collect();
+        let count = near.len().max(1) as f64;
+        let mean = near.iter().map(|i| i.acc_m_s2).sum::<Vector3<f64>>() / count;
+        let turning = near.iter().map(|i| i.gyr_rad_s).sum::<Vector3<f64>>() / count;
+        let spread = (near.iter().map(|i| (i.acc_m_s2 - mean).norm_squared()).sum::<f64>() / count).sqrt();
+        let standing = near.len() >= 10
+            && spread < 0.6
+            && turning.norm() < 0.15
+            && (mean.norm() - self.window.params.gravity_m_s2).abs() < 0.6;
+        let level = match UnitQuaternion::rotation_between(&mean, &Vector3::y()) {
+            Some(level) if inertial => level,
+            None if inertial => UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI),
+            // Without an inertial unit the first camera is taken to be level.
+            _ => self.window.cameras.first().map_or(UnitQuaternion::identity(), |camera| {
+                UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+                    * camera.rotation.inverse()
+            }),
+        };
+        let pose = Rigid::from_parts(Vector3::zeros().into(), level);
+        let biases =
+            Biases { gyr_rad_s: if standing { turning } else { Vector3::zeros() }, ..Biases::default() };
+        let motion = inertial.then_some(Motion { velocity_m_s: Vector3::zeros(), biases });
+        self.window.anchor = Some(Anchor {
+            frame: self.next_id,
+            pose,
+            motion: motion.unwrap_or_default(),
+            yaw_rad: 1e-4,
+            tilt_rad: if !inertial {
+                1e-4
+            } else if standing {
+                0.03
+            } else {
+                0.3
+            },
+            position_m: 1e-4,
+            velocity_m_s: if standing { 0.1 } else { 3.0 },
+            gyr_rad_s: if standing { 0.02 } else { 0.1 },
+            acc_m_s2: 0.15,
+        });
+        Frame::new(self.next_id, time, pose, motion)
+    }
+
+    /// One frame: where the tracked corners of all its pictures are seen. Always answers; the answer says how far it can be trusted.
+    pub fn frame(&mut self, time: Timestamp, sightings: &[Sighting]) -> Estimate {
+        let ascending = self.window.frames.last().is_none_or(|f| f.time < time);
+        if let (false, Some(last)) = (ascending, self.last) {
+            // Twice the same instant, or an earlier one: nothing that it says can be placed.
+            return last;
+        }
+        let mut frame = match self.window.frames.last() {
+            None => self.begin(time),
+            Some(last) => {
+                let (pose, motion, link) = self.predicted(last, time);
+                let mut frame = Frame::new(self.next_id, time, pose, motion);
+                frame.link = link;
+                if self.window.params.inertial.is_none() {
+                    frame.guess = Some(pose);
+                }
+                frame
+            }
+        };
+        self.next_id += 1;
+        let cameras = self.window.cameras.len();
+        frame.seen.extend(sightings.iter().filter(|s| {
+            usize::from(s.camera) < cameras
+                && s.direction.iter().all(|x| x.is_finite())
+                && s.direction.norm() > 0.5
+        }));
+        frame.seen.sort_by_key(|s| (s.track, s.camera));
+        frame.seen.dedup_by_key(|s| (s.track, s.camera));
+        frame.still = self.stands_still(&frame);
+        let id = frame.id;
+        let (mut known, mut tracks, mut last_track) = (0, 0, None);
+        for sighting in &frame.seen {
+            let point = self.known.get(&sighting.track);
+            if let Some(&point) = point {
+                self.window.points[point].seen.push(Observation { frame: id, slot: 0, sighting: *sighting });
+            }
+            if last_track != Some(sighting.track) {
+                last_track = Some(sighting.track);
+                tracks += 1;
+                known += usize::from(point.is_some());
+            }
+        }
+        self.window.frames.push(frame);
+        self.window.number();
+        self.since_keyframe += 1;
+        let params = self.window.params;
+        let first = self.window.frames.len() == 1;
+        let few = (known as f64) < params.known_share * tracks as f64;
+        let keyframe = first
+            || (few && self.since_keyframe >= params.keyframe_gap)
+            || (known < 2 * FEWEST && tracks > known);
+        if !first {
+            self.solve(if self.settled { params.iterations } else { 3 * params.iterations });
+        }
+        let outliers = self.drop_outliers();
+        if keyframe {
+            self.since_keyframe = 0;
+            self.make_points();
+        }
+        let (position_sigma_m, rotation_sigma_rad) = self.sigmas(first);
+        let state = self.judge(known);
+        let last = self.window.frames.last().expect("a frame was pushed above");
+        let motion = last.motion_now();
+        self.biases = motion.biases;
+        let estimate = Estimate {
+            time,
+            world_from_body: last.pose,
+            velocity_m_s: motion.velocity_m_s,
+            biases: motion.biases,
+            state,
+            position_sigma_m,
+            rotation_sigma_rad,
+            keyframe,
+            known,
+            outliers,
+        };
+        self.shrink();
+        self.forget(time);
+        self.last = Some(estimate);
+        estimate
+    }
+
+    fn solve(&mut self, iterations: usize) {
+        let Some(inertial) = self.window.params.inertial else {
+            return self.minimise(iterations);
+        };
+        let mut noise = inertial.noise;
+        noise.gyr_rad_s_rthz *= self.window.params.noise_factor;
+        noise.acc_m_s2_rthz *= self.window.params.noise_factor;
+        for slot in 1..self.window.frames.len() {
+            let biases = self.window.frames[slot - 1].motion_now().biases;
+            if let Some(link) = &mut self.window.frames[slot].link {
+                link.refresh(&biases, noise);
+            }
+        }
+        self.minimise(iterations);
+    }
+
+    fn minimise(&mut self, iterations: usize) {
+        let options =
+            Options { iterations, damping: 1e-6, cost_share: 1e-4, smallest_step: 1e-6, floor: 1e-6 };
+        minimise(&mut self.window, &mut self.normal, &options);
+    }
+
+    /// Whether the corners and the inertial unit agree that nothing moves.
+    fn stands_still(&self, frame: &Frame) -> bool {
+        let (Some(before), Some(link)) = (self.window.frames.last(), &frame.link) else { return false };
+        if !link.is_quiet(&before.motion_now().biases, self.window.params.gravity_m_s2) {
+            return false;
+        }
+        let mut moved: Vec<f64> = frame
+            .seen
+            .iter()
+            .filter_map(|s| {
+                let same =
+                    before.seen.binary_search_by_key(&(s.track, s.camera), |b| (b.track, b.camera)).ok()?;
+                Some((s.px_by_direction * before.seen[same].direction).norm())
+            })
+            .collect();
+        if moved.len() < 2 * FEWEST {
+            return false;
+        }
+        let middle = moved.len() / 2;
+        *moved.select_nth_unstable_by(middle, f64::total_cmp).1 < 0.3
+    }
+
+    /// Sightings that lie far off are thrown away, and points that are left with too few.
+    fn drop_outliers(&mut self) -> usize {
+        let limit = self.window.params.outlier_px;
+        let mut points = std::mem::take(&mut self.window.points);
+        let last = self.window.frames.last().map_or(0, |f| f.id);
+        let mut refused = 0;
+        for point in &mut points {
+            let seen = std::mem::take(&mut point.seen);
+            let fine = |o: &Observation| self.window.residual_px(point, o).is_some_and(|r| r < limit);
+            let kept: Vec<Observation> = seen.iter().filter(|o| fine(o)).copied().collect();
+            let host_lost =
+                seen.iter().any(|o| o.frame == point.host) && !kept.iter().any(|o| o.frame == point.host);
+            let now_lost = seen.iter().any(|o| o.frame == last) && !kept.iter().any(|o| o.frame == last);
+            point.seen = kept;
+            if now_lost || host_lost || point.seen.len() < 2 {
+                point.seen.clear();
+                self.refused.insert(point.track, last);
+                refused += 1;
+            }
+        }
+        points.retain(|p| !p.seen.is_empty());
+        self.window.points = points;
+        self.window.number();
+        self.index();
+        refused
+    }
+
+    fn index(&mut self) {
+        self.known.clear();
+        self.known.extend(self.window.points.iter().enumerate().map(|(i, p)| (p.track, i)));
+    }
+
+    /// New points for the tracks of the latest frame that have none, from all frames of the window that saw them.
+    fn make_points(&mut self) {
+        let params = self.window.params;
+        let frames = &self.window.frames;
+        let Some((host, slot)) = frames.last().zip(frames.len().checked_sub(1)) else { return };
+        let mut made = Vec::new();
+        let mut at = 0;
+        while at < host.seen.len() {
+            let sighting = host.seen[at];
+            let track = sighting.track;
+            while at < host.seen.len() && host.seen[at].track == track {
+                at += 1;
+            }
+            let full = self.window.points.len() + made.len() >= params.points;
+            if full || self.known.contains_key(&track) || self.refused.contains_key(&track) {
+                continue;
+            }
+            let mut seen = Vec::new();
+            for (slot, frame) in frames.iter().enumerate() {
+                let from = frame.seen.partition_point(|s| s.track < track);
+                let same = frame.seen[from..].iter().take_while(|s| s.track == track);
+                seen.extend(same.map(|s| Observation { frame: frame.id, slot, sighting: *s }));
+            }
+            if let Some(inverse_distance) = self.triangulate(slot, &sighting, &seen) {
+                let mut point =
+                    Point::new(track, host.id, sighting.camera, sighting.direction, inverse_distance);
+                point.host_slot = slot;
+                point.seen = seen;
+                made.push(point);
+            }
+        }
+        self.window.frames[slot].keyframe = true;
+        self.window.points.append(&mut made);
+        self.window.number();
+        self.index();
+    }
+
+    /// One over the distance from the host's camera along the direction that it sees: least squares over all other sightings.
+    fn triangulate(&self, host: usize, sighting: &Sighting, seen: &[Observation]) -> Option<f64> {
+        let window = &self.window;
+        let from = &window.frames[host].pose;
+        let camera = &window.cameras[usize::from(sighting.camera)];
+        let way = |o: &Observation| {
+            let target = &window.frames[o.slot].pose;
+            Way::new(&target.inv_mul(from), camera, &window.cameras[usize::from(o.sighting.camera)])
+        };
+        let others = || seen.iter().filter(|o| o.slot != host || o.sighting.camera != sighting.camera);
+        let mut inverse = 0.3;
+        let mut sigma = f64::INFINITY;
+        for _ in 0..4 {
+            let (mut slope, mut square) = (0.0, 0.0);
+            for o in others() {
+                let way = way(o);
+                let carried = way.carry(&sighting.direction, inverse);
+                let length = carried.norm().max(1e-9);
+                // Of J (along d + ρ offset) / length, with the length held.
+                let constant = o.sighting.px_by_direction * (way.along * sighting.direction) / length;
+                let by_inverse = o.sighting.px_by_direction * way.offset / length;
+                slope += by_inverse.dot(&constant);
+                square += by_inverse.norm_squared();
+            }
+            let (mut slope, mut square) = (slope * window.pixel_weight(), square * window.pixel_weight());
+            if let Some(measured) = sighting.inverse_range() {
+                let weight = 1.0 / window.params.depth_inverse_m.powi(2);
+                slope -= measured * weight;
+                square += weight;
+            }
+            if square <= 0.0 || square.is_nan() {
+                return None;
+            }
+            inverse = -slope / square;
+            sigma = square.sqrt().recip();
+        }
+        // Behind, or so unsure that it could be anywhere nearer than infinity and has no parallax to speak of.
+        let two = others().any(|o| o.slot == host);
+        if inverse < -3.0 * sigma
+            || (!two && sigma > 0.5 * inverse.max(0.05))
+            || inverse > crate::window::NEAREST
+        {
+            return None;
+        }
+        let inverse = inverse.max(0.0);
+        let fine = others().all(|o| {
+            way(o)
+                .residual(&o.sighting, &sighting.direction, inverse)
+                .is_some_and(|r| r.norm() < window.params.outlier_px)
+        });
+        fine.then_some(inverse)
+    }
+
+    /// Standard deviations of the latest pose, by the equations of the last solution.
+    fn sigmas(&self, first: bool) -> (f64, f64) {
+        let unknown = (f64::INFINITY, f64::INFINITY);
+        let at = 6 * (self.window.frames.len() - 1);
+        if first {
+            return self.window.anchor.map_or(unknown, |a| (a.position_m, a.tilt_rad.hypot(a.yaw_rad)));
+        }
+        let Some(covariance) = self.normal.covariance::<6>(at) else { return unknown };
+        let root = |from: usize| (from..from + 3).map(|i| covariance[(i, i)]).sum::<f64>().sqrt();
+        (root(0), root(3))
+    }
+
+    fn judge(&mut self, known: usize) -> State {
+        let params = self.window.params;
+        let count = self.window.frames.len();
+        self.unseen = if known >= FEWEST { 0 } else { self.unseen + 1 };
+        if self.window.points.is_empty() && !self.settled {
+            return State::FindingDepth;
+        }
+        if !self.settled {
+            let tilt = match (params.inertial, self.window.anchor) {
+                (Some(_), Some(anchor)) if count == 1 => anchor.tilt_rad,
+                (Some(_), _) => self.normal.covariance::<3>(3).map_or(1.0, |c| c.trace().sqrt()),
+                _ => 0.0,
+            };
+            let standing = self.window.frames.last().is_some_and(|f| f.still) && count > 2;
+            self.settled = params.inertial.is_none() && count > 2
+                || count >= params.first_frames && tilt < GRAVITY_RAD
+                || standing && tilt < 2.0 * GRAVITY_RAD
+                || count >= 4 * params.first_frames;
+            if tilt > GRAVITY_RAD && !standing {
+                return State::FindingGravity;
+            }
+        }
+        match self.unseen {
+            0 => State::Tracked,
+            n if params.inertial.is_some() && n < MOST_UNSEEN => State::Coasting,
+            _ => State::Lost,
+        }
+    }
+
+    /// What no longer fits into the window leaves it.
+    fn shrink(&mut self) {
+        if !self.settled {
+            return;
+        }
+        let params = self.window.params;
+        let count = self.window.frames.len();
+        let latest = count.saturating_sub(params.states.max(1));
+        let mut leaving = Leaving::default();
+        for (slot, frame) in self.window.frames.iter().enumerate().take(latest) {
+            match (frame.keyframe, frame.motion.is_some()) {
+                (false, _) => leaving.frames.push(slot),
+                (true, true) => leaving.motions.push(slot),
+                (true, false) => {}
+            }
+        }
+        let keyframes: Vec<usize> = (0..latest).filter(|s| self.window.frames[*s].keyframe).collect();
+        let excess = keyframes.len().saturating_sub(params.keyframes);
+        let mut kept = keyframes;
+        for _ in 0..excess {
+            let worst = self.least_useful(&kept);
+            kept.retain(|s| *s != worst);
+            leaving.frames.push(worst);
+            leaving.motions.retain(|s| *s != worst);
+        }
+        if leaving != Leaving::default() {
+            leaving.frames.sort_unstable();
+            self.shrink.marginalise(&mut self.window, &leaving);
+            self.index();
+        }
+    }
+
+    /// The keyframe to give up: one whose points are no longer seen, else one in a crowd far from here. After J. Engel,
+    /// V. Koltun, D. Cremers, "Direct Sparse Odometry", 2016, section 3.1.
+    fn least_useful(&self, keyframes: &[usize]) -> usize {
+        let frames = &self.window.frames;
+        let last = frames.len() - 1;
+        for &slot in &keyframes[..keyframes.len().saturating_sub(2)] {
+            let hosted = self.window.points.iter().filter(|p| p.host_slot == slot);
+            let (all, seen) = hosted.fold((0, 0), |(all, seen), p| {
+                (all + 1, seen + usize::from(p.seen.iter().any(|o| o.slot == last)))
+            });
+            if seen * 20 <= all {
+                return slot;
+            }
+        }
+        let distance = |a: usize, b: usize| {
+            (frames[a].pose.translation.vector - frames[b].pose.translation.vector).norm() + 1e-5
+        };
+        let score = |slot: usize| {
+            let crowd: f64 = keyframes.iter().filter(|s| **s != slot).map(|s| 1.0 / distance(slot, *s)).sum();
+            distance(slot, last).sqrt() * crowd
+        };
+        let candidates = &keyframes[..keyframes.len().saturating_sub(2).max(1)];
+        candidates.iter().copied().max_by(|a, b| score(*a).total_cmp(&score(*b))).unwrap_or(keyframes[0])
+    }
+
+    /// Readings and refusals that nothing needs any more.
+    fn forget(&mut self, time: Timestamp) {
+        while self.readings.len() > 1 && self.readings[1].0 <= time {
+            self.readings.pop_front();
+        }
+        let last = self.next_id;
+        self.refused.retain(|_, since| *since + 200 > last);
+    }
+}

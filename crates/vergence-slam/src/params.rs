@@ -1,0 +1,89 @@
+//! The knobs of odometry.
+
+use nalgebra::Vector3;
+use vergence_inertial::preintegrate::NoiseDensities;
+
+/// What the inertial unit is taken to be.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Inertial {
+    /// White noise, as its data sheet or an Allan deviation says.
+    pub noise: NoiseDensities,
+    /// Random walk of the gyroscope's bias, rad/s/√s.
+    pub gyr_walk: f64,
+    /// Random walk of the accelerometer's bias, m/s²/√s.
+    pub acc_walk: f64,
+    /// Readings at or beyond this rate (rad/s) are held to be saturated: their noise is taken a hundredfold.
+    pub gyr_range_rad_s: f64,
+}
+
+impl Inertial {
+    /// The unit of the EuRoC recordings (ADIS16448), as their calibration says.
+    pub const EUROC: Self = Self {
+        noise: NoiseDensities { gyr_rad_s_rthz: 1.6968e-4, acc_m_s2_rthz: 2e-3 },
+        gyr_walk: 1.9393e-5,
+        acc_walk: 3e-3,
+        gyr_range_rad_s: 34.0,
+    };
+}
+
+/// Knobs; each default is what the half-real flights are measured with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Params {
+    /// The inertial unit; `None`: images alone.
+    pub inertial: Option<Inertial>,
+    /// Factor on the white noise of the unit, 1..20: vibration, saturation and time stamps make it worse than its sheet. Too
+    /// small: the images are not believed; too large: gravity is found late. 4.
+    pub noise_factor: f64,
+    /// Strength of gravity, m/s²; 9.80665.
+    pub gravity_m_s2: f64,
+    /// Standard deviation of a tracked corner, pixels; 0.5.
+    pub pixel_px: f64,
+    /// Residual at which a corner's weight begins to fall (Huber), in standard deviations; 2.
+    pub huber: f64,
+    /// Residual beyond which a sighting is thrown away after a solution, pixels; 3.
+    pub outlier_px: f64,
+    /// Standard deviation of a depth reading, as a share of its square in 1/m (0.003: 3 mm at 1 m, 27 mm at 3 m).
+    pub depth_inverse_m: f64,
+    /// Latest frames that are kept with velocity and biases; 3. Cost grows with it.
+    pub states: usize,
+    /// Keyframes; 7. Cost grows with its square, drift falls with it.
+    pub keyframes: usize,
+    /// Steps of the minimisation for each frame at most; 4.
+    pub iterations: usize,
+    /// A frame becomes a keyframe where less than this share of its tracks are known points; 0.7.
+    pub known_share: f64,
+    /// Frames between two keyframes at least; 3.
+    pub keyframe_gap: usize,
+    /// Frames that are all kept at the start, until gravity is known; 12.
+    pub first_frames: usize,
+    /// Most points that take part; 400.
+    pub points: usize,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Self {
+            inertial: Some(Inertial::EUROC),
+            noise_factor: 4.0,
+            gravity_m_s2: 9.80665,
+            pixel_px: 0.5,
+            huber: 2.0,
+            outlier_px: 3.0,
+            depth_inverse_m: 0.003,
+            states: 3,
+            keyframes: 7,
+            iterations: 4,
+            known_share: 0.7,
+            keyframe_gap: 3,
+            first_frames: 12,
+            points: 400,
+        }
+    }
+}
+
+impl Params {
+    /// Acceleration of free fall in the world (y up).
+    pub fn gravity(&self) -> Vector3<f64> {
+        Vector3::new(0.0, -self.gravity_m_s2, 0.0)
+    }
+}

@@ -1,0 +1,104 @@
+//! Odometry on simulated tracks along true flights.
+
+#![allow(clippy::unwrap_used, reason = "in a test, what is missing fails it")]
+
+mod support;
+
+use nalgebra::Vector3;
+use support::{Run, Tracks, box_room, euroc, euroc_imu, run, tum};
+use vergence_geom::Rigid;
+use vergence_inertial::motion::{Motion, Wander, WanderParams};
+use vergence_inertial::spline::SplineMotion;
+use vergence_slam::{Odometry, Params, State};
+use vergence_time::{Span, Timestamp};
+
+/// What is missing is said; where it is required, it fails.
+fn skip(what: &str) {
+    let required = std::env::var("VERGENCE_REQUIRE").is_ok_and(|list| list.split(',').any(|w| w == "data"));
+    assert!(!required, "required: {what}");
+    println!("skipped: {what}");
+}
+
+fn motion(name: &str) -> Option<SplineMotion> {
+    let folder = std::env::var_os("VERGENCE_DATA")?;
+    let path = std::path::Path::new(&folder).join("trajectories").join(name);
+    if !path.is_file() {
+        return None;
+    }
+    let poses = tum(&path);
+    // From zero, so that the model's sample numbers are small.
+    let first = poses[0].0;
+    let poses: Vec<(Timestamp, Rigid)> = poses
+        .into_iter()
+        .map(|(t, p)| (Timestamp::from_nanos(t.since(first).unwrap().as_nanos()), p))
+        .collect();
+    SplineMotion::new(&poses, Span::from_millis(50))
+}
+
+fn room(motion: &SplineMotion) -> Vec<Vector3<f64>> {
+    let (mut low, mut high) = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
+    let mut t = motion.start();
+    while t < motion.end() {
+        let p = motion.at(t).world_from_body.translation.vector;
+        (low, high) = (low.inf(&p), high.sup(&p));
+        t = t.saturating_add(Span::from_millis(100));
+    }
+    box_room(low.add_scalar(-2.0), high.add_scalar(2.0), 3000, 1)
+}
+
+/// Stereo-inertial along `motion`: true tracks with 1 px of noise, EuRoC's cameras and unit.
+fn stereo_inertial(motion: &SplineMotion, seconds: f64) -> Run {
+    let cameras = euroc();
+    let mut tracks = Tracks::new(room(motion), cameras.clone(), 150, 1.0, 7);
+    let params = Params { pixel_px: 1.0, ..Params::default() };
+    let mut odometry = Odometry::new(params, cameras.iter().map(|c| c.body_from_camera).collect());
+    run(&mut odometry, motion, &euroc_imu(3), &mut tracks, motion.start(), seconds, 20.0)
+}
+
+fn print(name: &str, run: &Run) {
+    let last = run.estimates.last().unwrap();
+    let keyframes = run.estimates.iter().filter(|e| e.keyframe).count();
+    let tracked = run.estimates.iter().position(|e| e.state == State::Tracked);
+    println!(
+        "{name}: ATE {:.4} m, {:.2} ms/frame, sigma {:.4} m, {keyframes} keyframes, tracked from frame {tracked:?}",
+        run.ate_m(),
+        run.mean_ms(),
+        last.position_sigma_m
+    );
+}
+
+/// Over the whole 80 s (VERGENCE_SLAM_LONG=1): 0.0102, 0.0164, 0.0220, 0.0067 m. A peer's simulator of the same kind
+/// (OpenVINS) has 0.034, 0.012 and 0.025 m on the first three.
+#[test]
+fn true_flights_with_a_pixel_of_noise() {
+    let long = std::env::var_os("VERGENCE_SLAM_LONG").is_some();
+    for (name, seconds, bar_m) in [
+        ("V1_01_easy.tum.txt", 20.0, 0.02),
+        ("V1_02_medium.tum.txt", 12.0, 0.025),
+        ("MH_03_medium.tum.txt", 12.0, 0.03),
+        ("dataset-room1_512_16.tum.txt", 12.0, 0.015),
+    ] {
+        let Some(motion) = motion(name) else { return skip("no trajectories") };
+        let length = motion.end().since(motion.start()).unwrap().as_secs_f64().min(80.0);
+        let run = stereo_inertial(&motion, if long { length } else { seconds });
+        print(name, &run);
+        assert!(run.ate_m() < bar_m, "{name}: {} m", run.ate_m());
+        assert!(run.estimates.iter().all(|e| e.state != State::Lost));
+        // Gravity within two seconds, whether it starts in motion or not.
+        let tracked = run.estimates.iter().position(|e| e.state == State::Tracked).unwrap();
+        assert!(tracked <= 40, "{name}: tracked after {tracked} frames");
+    }
+}
+
+#[test]
+fn a_made_up_motion_without_any_data() {
+    let wander =
+        Wander::new(5, &WanderParams { way_m: 0.3, frequency_hz: 0.3, ..WanderParams::default() }).unwrap();
+    let poses: Vec<_> = (0..300)
+        .map(|k| Timestamp::from_nanos(k * 50_000_000))
+        .map(|t| (t, wander.at(t).world_from_body))
+        .collect();
+    let run = stereo_inertial(&SplineMotion::new(&poses, Span::from_millis(50)).unwrap(), 10.0);
+    print("made up", &run);
+    assert!(run.ate_m() < 0.012, "{}", run.ate_m());
+}
