@@ -92,13 +92,13 @@ struct Line {
 
 impl Line {
     fn offset_ns(&self, device_ns: i64) -> i64 {
-        let along = (i128::from(device_ns) - i128::from(self.through.device_ns)) as f64;
+        let along = device_ns.saturating_sub(self.through.device_ns) as f64;
         self.through.offset_ns.saturating_add((self.slope * along) as i64)
     }
 
     /// How far a point lies above.
     fn residual_ns(&self, point: Point) -> f64 {
-        (i128::from(point.offset_ns) - i128::from(self.offset_ns(point.device_ns))) as f64
+        point.offset_ns.saturating_sub(self.offset_ns(point.device_ns)) as f64
     }
 }
 
@@ -321,7 +321,7 @@ impl ClockMap {
     /// Learns the line anew, where it has been watched for long enough.
     fn fit(&mut self) {
         let (Some(first), Some(last)) = (self.bins.front(), self.bins.back()) else { return };
-        let watched_ns = (i128::from(last.device_ns) - i128::from(first.device_ns)) as f64;
+        let watched_ns = last.device_ns.saturating_sub(first.device_ns) as f64;
         if watched_ns < if self.slope_ns > 0.0 { NEXT_SLOPE_NS } else { FIRST_SLOPE_NS } {
             return;
         }
@@ -341,8 +341,8 @@ impl ClockMap {
     /// The line below all points with the least mean distance to them.
     fn fitted(&mut self) -> Option<Line> {
         let &first = self.bins.front()?;
-        let along = |point: Point| (i128::from(point.device_ns) - i128::from(first.device_ns)) as f64;
-        let up = |point: Point| (i128::from(point.offset_ns) - i128::from(first.offset_ns)) as f64;
+        let along = |point: Point| point.device_ns.saturating_sub(first.device_ns) as f64;
+        let up = |point: Point| point.offset_ns.saturating_sub(first.offset_ns) as f64;
         self.hull.clear();
         let mut sum = 0.0;
         for (index, &point) in self.bins.iter().enumerate() {

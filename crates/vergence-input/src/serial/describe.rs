@@ -1,0 +1,257 @@
+//! What a stream of a serial device is, in the words of `SERIAL.md`.
+
+use std::borrow::Cow;
+
+use nalgebra::{Point3, Quaternion, Translation3, UnitQuaternion, UnitVector3, Vector3};
+use vergence_geom::Rigid;
+use vergence_sense::{Axis, Button, Gaze, Imu, Pose, Reading, ReadingKind, Scalar, SourceStream, Vector2};
+
+/// No stream has more values.
+pub(super) const MOST_VALUES: usize = 9;
+
+/// How a number is on the wire; little-endian.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    U8,
+    I8,
+    U16,
+    I16,
+    U32,
+    I32,
+    F32,
+    F64,
+}
+
+impl Format {
+    const ALL: [(&'static str, Self); 8] = [
+        ("u8", Self::U8),
+        ("i8", Self::I8),
+        ("u16", Self::U16),
+        ("i16", Self::I16),
+        ("u32", Self::U32),
+        ("i32", Self::I32),
+        ("f32", Self::F32),
+        ("f64", Self::F64),
+    ];
+
+    const fn bytes(self) -> usize {
+        match self {
+            Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 => 2,
+            Self::U32 | Self::I32 | Self::F32 => 4,
+            Self::F64 => 8,
+        }
+    }
+
+    /// From exactly [`Format::bytes`] bytes.
+    fn read(self, bytes: &[u8]) -> f64 {
+        let mut wide = [0; 8];
+        let count = bytes.len().min(8);
+        wide[..count].copy_from_slice(&bytes[..count]);
+        let [a, b, c, d, ..] = wide;
+        match self {
+            Self::U8 => f64::from(a),
+            Self::I8 => f64::from(a as i8),
+            Self::U16 => f64::from(u16::from_le_bytes([a, b])),
+            Self::I16 => f64::from(i16::from_le_bytes([a, b])),
+            Self::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
+            Self::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
+            Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
+            Self::F64 => f64::from_le_bytes(wide),
+        }
+    }
+}
+
+/// What a stream of a serial device is: `NAME KIND FORMAT [SCALE…] [UNIT]`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Description {
+    name: String,
+    kind: ReadingKind,
+    values: usize,
+    format: Format,
+    scale: [f64; MOST_VALUES],
+    unit: String,
+}
+
+/// Why a description makes no sense.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("description of a stream: expected {expected}, found '{found}'")]
+pub struct DescriptionError {
+    expected: &'static str,
+    found: String,
+}
+
+const KINDS: [(&str, ReadingKind, usize); 7] = [
+    ("imu", ReadingKind::Imu, 6),
+    ("scalar", ReadingKind::Scalar, 1),
+    ("axis", ReadingKind::Axis, 1),
+    ("button", ReadingKind::Button, 1),
+    ("vector2", ReadingKind::Vector2, 2),
+    ("gaze", ReadingKind::Gaze, 6),
+    ("pose", ReadingKind::Pose, 7),
+];
+
+impl std::str::FromStr for Description {
+    type Err = DescriptionError;
+
+    fn from_str(text: &str) -> Result<Self, DescriptionError> {
+        let refuse = |expected, found: &str| {
+            Err(DescriptionError { expected, found: found.chars().take(60).collect() })
+        };
+        let mut words = text.split_ascii_whitespace();
+        let name = words.next().unwrap_or("");
+        let allowed = |c: char| c.is_ascii_alphanumeric() || "_-/".contains(c);
+        if name.is_empty()
+            || name.len() > 64
+            || !name.chars().all(allowed)
+            || name.split('/').any(str::is_empty)
+        {
+            return refuse("a name of 1 to 64 letters, digits, '_', '-', '/'", name);
+        }
+        let word = words.next().unwrap_or("");
+        let Some(&(_, kind, values)) = KINDS.iter().find(|kind| kind.0 == word) else {
+            return refuse("imu, scalar, axis, button, vector2, gaze or pose", word);
+        };
+        let word = words.next().unwrap_or("");
+        let Some(&(_, format)) = Format::ALL.iter().find(|format| format.0 == word) else {
+            return refuse("u8, i8, u16, i16, u32, i32, f32 or f64", word);
+        };
+        let (mut scales, mut unit) = (Vec::new(), String::new());
+        for word in words {
+            match word.parse::<f64>() {
+                Ok(scale) if scale.is_finite() && unit.is_empty() && scales.len() < MOST_VALUES => {
+                    scales.push(scale);
+                }
+                Err(_) if unit.is_empty() && word.len() <= 16 => unit = word.to_owned(),
+                _ => return refuse("finite scales, then a unit", word),
+            }
+        }
+        let values = match (kind, scales.len()) {
+            // With a magnetometer.
+            (ReadingKind::Imu, 9) => 9,
+            (_, 0 | 1) => values,
+            (_, count) if count == values => values,
+            _ => return refuse("no scale, one, or one for each value", text),
+        };
+        let mut scale = [scales.first().copied().unwrap_or(1.0); MOST_VALUES];
+        if scales.len() > 1 {
+            scale[..scales.len()].copy_from_slice(&scales);
+        }
+        Ok(Self { name: name.to_owned(), kind, values, format, scale, unit })
+    }
+}
+
+impl Description {
+    /// As a stream of a source, under this name.
+    pub(super) fn stream(&self, name: String) -> SourceStream {
+        SourceStream::new(name, self.kind).unit(self.unit.clone())
+    }
+
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// What a payload says; `None` where it has another length, or is a direction without one.
+    pub(super) fn read(&self, payload: &[u8]) -> Option<Reading<'static>> {
+        let bytes = self.format.bytes();
+        let mut count = self.values;
+        if payload.len() != count * bytes {
+            // An inertial unit with a magnetometer and one scale for all.
+            if self.kind != ReadingKind::Imu || payload.len() != 9 * bytes {
+                return None;
+            }
+            count = 9;
+        }
+        let mut values = [0.0; MOST_VALUES];
+        for ((value, bytes), scale) in values.iter_mut().zip(payload.chunks_exact(bytes)).zip(self.scale) {
+            *value = self.format.read(bytes) * scale;
+        }
+        reading(self.kind, &values[..count])
+    }
+}
+
+/// A reading out of its numbers; `None` where they are none.
+pub(super) fn reading(kind: ReadingKind, values: &[f64]) -> Option<Reading<'static>> {
+    let three = |from: usize| Some(Vector3::from_column_slice(values.get(from..from + 3)?));
+    let single = |index: usize| Some(*values.get(index)? as f32);
+    Some(match kind {
+        ReadingKind::Imu => Reading::Imu(Imu { gyr_rad_s: three(0)?, acc_m_s2: three(3)?, mag_ut: three(6) }),
+        ReadingKind::Scalar => Reading::Scalar(Scalar(*values.first()?)),
+        ReadingKind::Axis => Reading::Axis(Axis(Some(single(0)?))),
+        ReadingKind::Button => Reading::Button(Button(Some(*values.first()? != 0.0))),
+        ReadingKind::Vector2 => Reading::Vector2(Vector2(Some([single(0)?, single(1)?]))),
+        ReadingKind::Gaze => Reading::Gaze(Gaze {
+            origin: Point3::from(three(0)?),
+            direction: UnitVector3::try_new(three(3)?, 1e-9).filter(|d| d.iter().all(|x| x.is_finite()))?,
+        }),
+        ReadingKind::Pose => {
+            let &[.., x, y, z, w] = values else { return None };
+            let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-9)?;
+            let translation = Translation3::from(three(0)?);
+            let finite = translation.vector.iter().chain(rotation.coords.iter()).all(|x| x.is_finite());
+            Reading::Pose(if finite { Pose::tracked(Rigid { rotation, translation }) } else { Pose::LOST })
+        }
+        ReadingKind::Touch | ReadingKind::Image | ReadingKind::Event => return None,
+    })
+}
+
+/// A name that none of `streams` has yet.
+pub(super) fn unique(name: &str, streams: &[SourceStream]) -> Cow<'static, str> {
+    let taken = |name: &str| streams.iter().any(|stream| stream.name == name);
+    if !taken(name) {
+        return name.to_owned().into();
+    }
+    (2u32..).map(|n| format!("{name}~{n}")).find(|name| !taken(name)).unwrap_or_default().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn payloads_are_read_as_described() {
+        let imu: Description = "imu imu i16 0.5 0.5 0.5 2 2 2".parse().unwrap();
+        let payload: Vec<u8> = [1i16, -2, 3, 4, -5, 6].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let Some(Reading::Imu(read)) = imu.read(&payload) else { panic!("no inertial unit") };
+        assert_eq!(read.gyr_rad_s, Vector3::new(0.5, -1.0, 1.5));
+        assert_eq!(read.acc_m_s2, Vector3::new(8.0, -10.0, 12.0));
+        assert_eq!(imu.read(&payload[..11]), None);
+        let heart: Description = "heart scalar u8 bpm".parse().unwrap();
+        assert_eq!(heart.read(&[72]), Some(Reading::Scalar(Scalar(72.0))));
+        assert_eq!(heart.stream("heart".into()).unit, "bpm");
+        for (format, bytes, wanted) in [
+            ("i8", vec![0xFE], -2.0),
+            ("u16", vec![1, 2], 513.0),
+            ("u32", vec![0, 0, 0, 128], 2_147_483_648.0),
+            ("i32", vec![0, 0, 0, 128], -2_147_483_648.0),
+            ("f32", 0.25f32.to_le_bytes().to_vec(), 0.25),
+            ("f64", (-7.5f64).to_le_bytes().to_vec(), -7.5),
+        ] {
+            let one: Description = format!("x scalar {format}").parse().unwrap();
+            assert_eq!(one.read(&bytes), Some(Reading::Scalar(Scalar(wanted))), "{format}");
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused_with_what_was_expected() {
+        for text in [
+            "",
+            "a",
+            "a imu",
+            "a b u8",
+            "a//b scalar u8",
+            "é scalar u8",
+            "a imu i16 1 2",
+            "a scalar u8 1e999",
+            "a scalar u8 bpm 3",
+            "a scalar u8 1 2",
+        ] {
+            let error = text.parse::<Description>().unwrap_err().to_string();
+            assert!(error.contains("expected") && error.contains("found"), "{text}: {error}");
+        }
+        let gaze: Description = "eye gaze f32".parse().unwrap();
+        assert_eq!(gaze.read(&[0; 24]), None);
+        let nan: Vec<u8> = [f32::NAN; 6].iter().flat_map(|v| v.to_le_bytes()).collect();
+        assert_eq!(gaze.read(&nan), None);
+    }
+}
