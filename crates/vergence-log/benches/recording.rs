@@ -70,6 +70,9 @@ fn frames(path: &std::path::Path, count: i64) {
                 predicted_period: Span::from_millis(11),
                 should_render: true,
                 presented: None,
+                raw_display: now,
+                raw_period: Span::from_millis(11),
+                ended: true,
             },
         );
         took.push(start.elapsed());

@@ -89,6 +89,9 @@ fn a_frame_asks_for_no_memory() {
                 predicted_period: Span::from_millis(11),
                 should_render: true,
                 presented: None,
+                raw_display: now,
+                raw_period: Span::from_millis(11),
+                ended: true,
             },
         );
         // Not faster than the writer on a busy machine.

@@ -9,8 +9,9 @@ use tempfile::TempDir;
 use vergence_log::schema::{Kind, Schema};
 use vergence_log::{Compressed, Compression, Header, Message, Options, Reader, Recorder, StreamDesc, Times};
 use vergence_sense::{
-    Axis, Button, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu, JOINTS_PER_HAND, Pose,
-    RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar, Validity, Vector2,
+    Axis, Button, CallResult, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu,
+    JOINTS_PER_HAND, Pose, RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar,
+    Validity, Vector2,
 };
 use vergence_time::{Span, Timestamp};
 
@@ -35,7 +36,7 @@ fn the_page_has_every_type_and_field() {
         )* };
     }
     all!(Pose, RawLocation, RawViews, RawJoints, HandJoints, Gaze, Button, Axis, Vector2, Haptic, Event);
-    all!(FrameTiming, FrameHash, Scalar, Imu, Image<'_>, Compressed<'_>);
+    all!(FrameTiming, CallResult, FrameHash, Scalar, Imu, Image<'_>, Compressed<'_>);
     let mut page = "| type | version | schema | unit |\n|---|---|---|---|\n".to_owned();
     page += &(types.join("\n") + "\n\n```proto\n");
     page += &schemas.values().map(|schema| schema.to_proto()).collect::<Vec<_>>().join("\n");
@@ -72,6 +73,7 @@ fn everything(path: &Path, compression: Compression) {
     let haptic = recorder.stream::<Haptic>(&StreamDesc::new("/haptic")).unwrap();
     let event = recorder.stream::<Event>(&StreamDesc::new("/event")).unwrap();
     let frame = recorder.stream::<FrameTiming>(&StreamDesc::new("/frame")).unwrap();
+    let result = recorder.stream::<CallResult>(&StreamDesc::new("/result")).unwrap();
     let hash = recorder.stream::<FrameHash>(&StreamDesc::new("/hash")).unwrap();
     let cpu = recorder.stream::<Scalar>(&StreamDesc::new("/cpu").unit("ms").host_time()).unwrap();
     let imu = recorder.stream::<Imu>(&StreamDesc::new("/imu").frame("imu")).unwrap();
@@ -110,8 +112,19 @@ fn everything(path: &Path, compression: Compression) {
             predicted_period: Span::from_millis(10),
             should_render: true,
             presented: None,
+            raw_display: times.captured,
+            raw_period: Span::from_millis(10),
+            ended: true,
         };
         recorder.write(&frame, times, &timing);
+        let failed = CallResult {
+            call: "xrLocateViews".into(),
+            nth: 2,
+            in_frame: true,
+            code: -17,
+            result: "ERROR_SESSION_LOST".into(),
+        };
+        recorder.write(&result, times, &failed);
         recorder.write(&hash, times, &FrameHash { frame: step as u64, view: 0, hash: [7; 32] });
         recorder.write(&cpu, times, &Scalar(1.5));
         let up = nalgebra::Vector3::new(0.0, 9.81, 0.0);
@@ -170,7 +183,7 @@ fn public_readers_read_it() {
     while reader.next().unwrap().is_some() {
         count += 1;
     }
-    assert_eq!(count, 17 * 50);
+    assert_eq!(count, 18 * 50);
     // The script that people copy from.
     let plot = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/plot-head-motion");
     let picture = dir.path().join("head.png");

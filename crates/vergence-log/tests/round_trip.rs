@@ -11,9 +11,9 @@ use vergence_log::{
     repair,
 };
 use vergence_sense::{
-    Axis, Button, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu, JOINTS_PER_HAND,
-    JointPose, Pose, RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar,
-    Tracking, Validity, Vector2,
+    Axis, Button, CallResult, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu,
+    JOINTS_PER_HAND, JointPose, Pose, RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView,
+    RawViews, Scalar, Tracking, Validity, Vector2,
 };
 use vergence_time::{Span, Timestamp};
 
@@ -125,7 +125,11 @@ proptest! {
         survives(times, &FrameTiming {
             frame, wait_returned: at(ns), begun: at(!ns), submitted: some.then_some(at(ns / 2)),
             predicted_display: at(ns / 3), predicted_period: Span::from_nanos(ns / 5), should_render: some,
-            presented: (!some).then_some(at(ns / 7)),
+            presented: (!some).then_some(at(ns / 7)), raw_display: at(!ns / 3),
+            raw_period: Span::from_nanos(!ns), ended: some,
+        });
+        survives(times, &CallResult {
+            call: "xrWaitFrame".into(), nth: frame as u32, in_frame: some, code: ns as i32, result: "é".into(),
         });
         let event = Event { name: "état".into(), text: "x".repeat(frame as usize % 300).into(),
                             at: some.then_some(at(ns)), before: d, after: -d };

@@ -53,6 +53,27 @@ pub struct FrameTiming {
     pub should_render: bool,
     /// When it was seen, where the runtime tells.
     pub presented: Option<Timestamp>,
+    /// The display time that the runtime gave, before the guard against absurd times: as predicted where it was believed.
+    pub raw_display: Timestamp,
+    /// The period that the runtime gave, before the guard.
+    pub raw_period: Span,
+    /// The frame was ended. One that was not is that in which the session was lost or given up.
+    pub ended: bool,
+}
+
+/// A call of a running session that did not simply succeed: it failed, or what it returned is a qualified success.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CallResult {
+    /// The entry point: `xrLocateViews`.
+    pub call: Cow<'static, str>,
+    /// Which of its calls, counted from 1 since the last frame was waited for.
+    pub nth: u32,
+    /// It was called for a frame that had been waited for and not yet been handed over.
+    pub in_frame: bool,
+    /// What it returned, as OpenXR counts results.
+    pub code: i32,
+    /// The same in words: `ERROR_SESSION_LOST`.
+    pub result: Cow<'static, str>,
 }
 
 /// What identifies the pictures of one frame: a hash per view.

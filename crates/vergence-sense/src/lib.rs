@@ -26,7 +26,7 @@ mod source;
 
 pub use body::{Gaze, HandJoint, HandJoints, JOINTS_PER_HAND, JointPose};
 pub use control::{Axis, Button, Haptic, Touch, TouchPhase, Vector2};
-pub use happening::{Event, FrameHash, FrameTiming, Scalar};
+pub use happening::{CallResult, Event, FrameHash, FrameTiming, Scalar};
 pub use image::Image;
 pub use imu::Imu;
 pub use pose::{Pose, Tracking, Velocity};

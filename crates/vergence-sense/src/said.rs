@@ -3,7 +3,9 @@
 
 use vergence_time::{Span, Timestamp};
 
-use crate::{Axis, Button, Event, FrameHash, Hand, Haptic, RawJoints, RawLocation, RawViews, Vector2};
+use crate::{
+    Axis, Button, CallResult, Event, FrameHash, Hand, Haptic, RawJoints, RawLocation, RawViews, Vector2,
+};
 
 /// What was located.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -41,10 +43,14 @@ pub enum Said {
         now: Timestamp,
         /// When the frame is expected to be seen, after the guard against absurd times.
         display: Timestamp,
-        /// The time between frames.
+        /// The time between frames, after the guard.
         period: Span,
         /// A picture is wanted.
         should_render: bool,
+        /// What the runtime gave for `display`.
+        raw_display: Timestamp,
+        /// What the runtime gave for `period`.
+        raw_period: Span,
     },
     /// The eyes were located.
     Views {
@@ -91,6 +97,8 @@ pub enum Said {
         /// What.
         haptic: Haptic,
     },
+    /// A call did not simply succeed.
+    Result(CallResult),
     /// The picture of an eye was hashed.
     Hash(FrameHash),
     /// The frame was ended.
@@ -130,9 +138,16 @@ impl Said {
                     && same_numbers(a.after, b.after)
             }
             (
-                Self::Frame { display, period, should_render, .. },
-                Self::Frame { display: d, period: p, should_render: s, .. },
-            ) => (display, period, should_render) == (d, p, s),
+                Self::Frame { now: _, display, period, should_render, raw_display, raw_period },
+                Self::Frame {
+                    now: _,
+                    display: d,
+                    period: p,
+                    should_render: s,
+                    raw_display: rd,
+                    raw_period: rp,
+                },
+            ) => (display, period, should_render, raw_display, raw_period) == (d, p, s, rd, rp),
             (Self::Views { at, views }, Self::Views { at: a, views: v }) => at == a && views == v,
             (Self::Place { of, at, location }, Self::Place { of: o, at: a, location: l }) => {
                 (of, at, location) == (o, a, l)
@@ -148,6 +163,9 @@ impl Said {
                 (action, hand, haptic.duration) == (a, h, p.duration)
                     && haptic.amplitude.to_bits() == p.amplitude.to_bits()
                     && haptic.frequency_hz.map(f32::to_bits) == p.frequency_hz.map(f32::to_bits)
+            }
+            (Self::Result(a), Self::Result(b)) => {
+                (&a.call, a.nth, a.in_frame, a.code) == (&b.call, b.nth, b.in_frame, b.code)
             }
             (Self::Hash(a), Self::Hash(b)) => a == b,
             (Self::Submitted { display, views }, Self::Submitted { display: d, views: v }) => {
@@ -173,6 +191,8 @@ mod tests {
             display: Timestamp::from_nanos(display),
             period: Span::from_millis(11),
             should_render: true,
+            raw_display: Timestamp::from_nanos(display),
+            raw_period: Span::from_millis(11),
         };
         assert!(frame(1, 5).is_same(&frame(2, 5)) && !frame(1, 5).is_same(&frame(1, 6)));
         let control = |state| Said::Control {

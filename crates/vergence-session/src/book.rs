@@ -19,8 +19,10 @@ pub(crate) struct Book {
     pub(crate) verifier: Option<Verifier>,
     /// Whether pictures are hashed.
     pub(crate) hashes: bool,
-    /// Frames that were waited for so far.
+    /// Frames that were ended so far.
     frames: u64,
+    /// A frame was waited for.
+    is_timed: bool,
     /// Host time spent here in the frame under way, nanoseconds.
     spent_ns: u64,
     /// The same of the frames before.
@@ -29,12 +31,20 @@ pub(crate) struct Book {
 
 impl Book {
     pub(crate) fn new(recording: Option<Recording>, verifier: Option<Verifier>, hashes: bool) -> Self {
-        Self { recording, verifier, hashes, frames: 0, spent_ns: 0, spent: Series::default() }
+        Self {
+            recording,
+            verifier,
+            hashes,
+            frames: 0,
+            is_timed: false,
+            spent_ns: 0,
+            spent: Series::default(),
+        }
     }
 
-    /// The frame under way, counted from 0 over all sessions of a run.
+    /// The frame under way: those before it that were ended, over all sessions of a run.
     pub(crate) fn frame(&self) -> u64 {
-        self.frames.saturating_sub(1)
+        self.frames
     }
 
     fn spent_so_far(&self) -> Span {
@@ -60,11 +70,10 @@ impl Tap for Book {
     fn hear(&mut self, said: &Said) {
         let began = Instant::now();
         if matches!(said, Said::Frame { .. }) {
-            if self.frames > 0 {
+            if std::mem::replace(&mut self.is_timed, true) {
                 self.spent.add(self.spent_so_far());
             }
             self.spent_ns = 0;
-            self.frames += 1;
         }
         let frame = self.frame();
         if let Some(recording) = &mut self.recording {
@@ -73,6 +82,7 @@ impl Tap for Book {
         if let Some(verifier) = &mut self.verifier {
             verifier.hear(said);
         }
+        self.frames += u64::from(matches!(said, Said::Submitted { .. }));
         self.spent_ns += u64::try_from(began.elapsed().as_nanos()).unwrap_or(u64::MAX);
     }
 }

@@ -216,7 +216,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     if run.config.eye_gaze && !client.reads_gaze() {
         run.warn(&format!("the gaze is not read: {runtime} does not offer it"));
     }
-    if run.book.is_none() && run.tally.losses == 0 {
+    if !std::mem::replace(&mut run.has_booked, true) {
         run.book = open_book(run, chosen, &client);
     }
     if let Some(book) = run.book.take() {

@@ -3,11 +3,12 @@
 use vergence_action::{ActionSet, Kind};
 use vergence_log::{Header, Options, Recorder, Stream, StreamDesc, Times};
 use vergence_sense::{
-    Axis, Body, Button, ControlState, Event, FrameHash, FrameTiming, Hand, Haptic, RawJoints, RawLocation,
-    RawViews, Said, Scalar, Vector2,
+    Axis, Body, Button, CallResult, ControlState, Event, FrameHash, FrameTiming, Hand, Haptic, RawJoints,
+    RawLocation, RawViews, Said, Scalar, Vector2,
 };
 use vergence_time::{Span, Timestamp};
 use vergence_xr::Client;
+use vergence_xr_sim::motion::{RUN_ENDED, SESSION_BEGINS};
 
 use crate::book::SessionNow;
 use crate::config::RecordConfig;
@@ -21,6 +22,7 @@ use crate::run::Run;
 /// Names of the streams of a session log.
 pub(crate) mod name {
     pub(crate) const EVENTS: &str = "/session/events";
+    pub(crate) const RESULTS: &str = "/session/results";
     pub(crate) const TIMING: &str = "/frame/timing";
     pub(crate) const HASHES: &str = "/frame/hashes";
     pub(crate) const VIEWS: &str = "/views/located";
@@ -51,6 +53,7 @@ pub(crate) struct Recording {
     is_virtual: bool,
     timing: Option<FrameTiming>,
     events: Stream<Event>,
+    results: Stream<CallResult>,
     timings: Stream<FrameTiming>,
     hashes: Option<Stream<FrameHash>>,
     views: Stream<RawViews>,
@@ -158,6 +161,7 @@ impl Recording {
             is_virtual: contents.is_virtual,
             timing: None,
             events: recorder.stream(&StreamDesc::new(name::EVENTS))?,
+            results: recorder.stream(&StreamDesc::new(name::RESULTS))?,
             timings: recorder.stream(&StreamDesc::new(name::TIMING))?,
             hashes: match &contents.hashes {
                 Some(of) => Some(recorder.stream(&StreamDesc::new(name::HASHES).note("hash", of))?),
@@ -184,8 +188,18 @@ impl Recording {
         let now = self.now.read();
         let Self { recorder, .. } = self;
         match said {
-            Said::Event(event) => recorder.write(&self.events, Times::at(now), event),
-            Said::Frame { now, display, period, should_render } => {
+            Said::Event(event) => {
+                // A frame that is still open then is never ended.
+                if matches!(&*event.name, SESSION_BEGINS | RUN_ENDED)
+                    && let Some(timing) = self.timing.take()
+                {
+                    let times = Times::new(timing.predicted_display, now);
+                    recorder.write(&self.timings, times, &FrameTiming { ended: false, ..timing });
+                }
+                recorder.write(&self.events, Times::at(now), event);
+            }
+            Said::Result(result) => recorder.write(&self.results, Times::at(now), result),
+            Said::Frame { now, display, period, should_render, raw_display, raw_period } => {
                 self.now = SessionNow::new(*now, self.is_virtual);
                 self.timing = Some(FrameTiming {
                     frame,
@@ -196,6 +210,9 @@ impl Recording {
                     predicted_period: *period,
                     should_render: *should_render,
                     presented: None,
+                    raw_display: *raw_display,
+                    raw_period: *raw_period,
+                    ended: true,
                 });
             }
             Said::Views { at, views } => recorder.write(&self.views, Times::new(*at, now), views),

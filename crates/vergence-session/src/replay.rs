@@ -9,15 +9,16 @@ use serde::Serialize;
 use vergence_action::{Control, POINT_AND_GRASP};
 use vergence_log::{Ending, Header, Reader};
 use vergence_scene::Scene;
-use vergence_xr_sim::motion::Part;
-use vergence_xr_sim::{Replay, Script};
+use vergence_sense::Said;
+use vergence_xr_sim::motion::{Part, SESSION_BEGINS};
+use vergence_xr_sim::{Fault, FaultPlan, Replay, Script};
 
 use crate::config::{CaptureConfig, HeadsetChoice, RunConfig};
 use crate::error::Error;
 use crate::provenance::scene_hash;
 use crate::resolved::Resolved;
-use crate::run::{Again, Happening, MakeVerifier, run_again};
-use crate::said_log::{Frames, Trouble};
+use crate::run::{Again, Happening, Lived, MakeVerifier, run_again};
+use crate::said_log::{Frames, Outcome};
 use crate::verify::{Comparison, Verifier};
 use crate::{RunReport, provenance};
 
@@ -56,6 +57,8 @@ pub struct ReplayReport {
     pub complete: bool,
     /// What is wrong with the recording, where something is: it is replayed up to there.
     pub damage: Option<String>,
+    /// How the replay failed, where it did: a recording of a run that failed fails in the same way.
+    pub failure: Option<String>,
     /// Session time of the frames that were shown, seconds.
     pub seconds: f64,
     /// Host time of the whole replay, seconds.
@@ -171,17 +174,40 @@ impl SessionLog {
     /// # Errors
     /// Where the log cannot be read.
     pub fn motion(&self) -> Result<Script, Error> {
-        let trouble = Trouble::default();
+        let outcome = Outcome::default();
         let parts: Vec<Option<Part>> = self.resolved.actions.iter().map(|name| part_of(name)).collect();
-        let script = Script::of_session(self.frames(&trouble)?, &parts);
-        if let Some(error) = trouble.take() {
+        let script = Script::of_session(self.frames(&outcome)?, &parts);
+        if let Some(error) = outcome.trouble() {
             log::warn!("{error}; going on with what is before that");
         }
         Ok(script)
     }
 
-    fn frames(&self, trouble: &Trouble) -> Result<Frames, Error> {
-        Ok(Frames::open(&self.path, Arc::new(self.resolved.actions.clone()), trouble.clone())?)
+    fn frames(&self, outcome: &Outcome) -> Result<Frames, Error> {
+        Ok(Frames::open(&self.path, Arc::new(self.resolved.actions.clone()), outcome.clone())?)
+    }
+
+    /// # Errors
+    /// Where the log begins in the middle of a session, or has no frame.
+    fn check_beginning(&self) -> Result<(), Error> {
+        let outcome = Outcome::default();
+        let first = self.frames(&outcome)?.next().unwrap_or_default();
+        let is_event = |said: &Said, name: &str| matches!(said, Said::Event(event) if event.name == name);
+        let found = if !first.iter().any(|said| matches!(said, Said::Frame { .. })) {
+            if let Some(error) = outcome.trouble() {
+                return Err(error.into());
+            }
+            "one without a whole frame"
+        } else if !first.iter().any(|said| is_event(said, SESSION_BEGINS)) {
+            "one that begins in the middle of it"
+        } else {
+            return Ok(());
+        };
+        Err(Error::Call(format!(
+            "{}: expected a recording from the beginning of a session on, with all its streams, found {found}; \
+             'vergence run --motion' takes it as the user's motion",
+            self.path.display()
+        )))
     }
 }
 
@@ -224,17 +250,21 @@ pub fn replay(
         return Err(Error::Call(format!("--speed: expected max or a positive number, found {speed}")));
     }
     log.check_scene(scene)?;
-    let (said_trouble, compared_trouble) = (Trouble::default(), Trouble::default());
-    let replay = Replay::new(log.frames(&said_trouble)?, log.resolved.actions.clone(), config.speed);
-    let expected = if config.verify { Some(log.frames(&compared_trouble)?) } else { None };
+    log.check_beginning()?;
+    let faults = log.resolved.faults.iter().map(|text| Fault::parse(text)).collect::<Result<Vec<_>, _>>()?;
+    let (said, compared) = (Outcome::default(), Outcome::default());
+    let replay = Replay::new(log.frames(&said)?, log.resolved.actions.clone(), config.speed);
+    let expected = if config.verify { Some(log.frames(&compared)?) } else { None };
     let again = Again {
         replay,
         profile: log.resolved.profile.profile(),
         hash: config.verify && log.resolved.hash_frames,
         verifier: expected.map(|expected| {
-            let log = log.clone();
-            let made: MakeVerifier =
-                Box::new(move |device| Verifier::new(expected, log.images_not_compared(device)));
+            let (log, compared) = (log.clone(), compared.clone());
+            let made: MakeVerifier = Box::new(move |device| {
+                let why_not = log.images_not_compared(device);
+                Verifier::new(expected, compared, log.resolved.has_results, why_not)
+            });
             made
         }),
     };
@@ -250,20 +280,36 @@ pub fn replay(
         eye_gaze: log.resolved.eye_gaze,
         refresh_rate_hz: log.resolved.refresh_rate_hz,
         validation: config.validation,
+        faults: if faults.is_empty() { FaultPlan::default() } else { FaultPlan::new(faults) },
         ..RunConfig::default()
     };
     let began = Instant::now();
-    let (run, compared) = run_again(scene, &run_config, again, watch)?;
+    let Lived { report: run, comparison, ended } = run_again(scene, &run_config, again, watch)?;
     let host_seconds = began.elapsed().as_secs_f64();
     let mut reader = Reader::open(&log.path)?;
     // A damaged file is no complete one.
-    while matches!(reader.next(), Ok(Some(_))) {}
-    let comparison: Comparison = compared.unwrap_or_default();
+    let mut damage = said.trouble().or_else(|| compared.trouble());
+    while damage.is_none() {
+        match reader.next() {
+            Ok(Some(_)) => {}
+            Ok(None) => break,
+            Err(error) => damage = Some(error),
+        }
+    }
+    let was_compared = comparison.is_some();
+    let comparison: Comparison = comparison.unwrap_or_default();
+    let failure = match ended {
+        Ok(()) => None,
+        // A run that failed is lived through to its failure: where it is compared, that is equal or a difference.
+        Err(error @ Error::Headset(_)) if was_compared || run.paced > 0 => Some(error.to_string()),
+        Err(error) => return Err(error),
+    };
     Ok(ReplayReport {
         frames_per_second: run.paced as f64 / host_seconds.max(1e-9),
         verified: config.verify,
         complete: reader.ending() == Some(Ending::Complete),
-        damage: said_trouble.take().or_else(|| compared_trouble.take()).map(|error| error.to_string()),
+        damage: damage.map(|error| error.to_string()),
+        failure,
         seconds: run.seconds,
         host_seconds,
         comparison,
@@ -281,6 +327,9 @@ impl std::fmt::Display for ReplayReport {
         if let Some(damage) = &self.damage {
             writeln!(f, "recording      {damage}")?;
         }
+        if let Some(failure) = &self.failure {
+            writeln!(f, "ended          {failure}")?;
+        }
         if self.verified {
             let Comparison { frames, frames_equal, events, events_equal, .. } = self.comparison;
             writeln!(f, "frames         {frames_equal} of {frames} equal")?;
@@ -291,6 +340,10 @@ impl std::fmt::Display for ReplayReport {
                     let Comparison { images, images_equal, .. } = self.comparison;
                     writeln!(f, "pictures       {images_equal} of {images} equal")?;
                 }
+            }
+            let Comparison { extra_frames, extra_events, .. } = self.comparison;
+            if extra_frames + extra_events > 0 {
+                writeln!(f, "after the end  {extra_frames} frames and {extra_events} events more")?;
             }
             if let Some(difference) = &self.comparison.first_difference {
                 writeln!(f, "difference     {difference}")?;

@@ -4,6 +4,7 @@ use nalgebra::{Point2, Quaternion, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 use vergence_geom::{Fov, Rigid, components};
 use vergence_render::Quality;
+use vergence_xr::HEARD_CALLS;
 use vergence_xr_sim::Profile;
 use vergence_xr_sim::headset::Eye;
 
@@ -27,6 +28,12 @@ pub(crate) struct Resolved {
     /// Names of the actions, in their places.
     pub(crate) actions: Vec<String>,
     pub(crate) hash_frames: bool,
+    /// Calls that failed are in the recording; in those of earlier versions they are not.
+    #[serde(default)]
+    pub(crate) has_results: bool,
+    /// What the simulated headset did wrong while sessions were made, which the recording does not hear: faults as text.
+    #[serde(default)]
+    pub(crate) faults: Vec<String>,
     /// What the vergence that recorded was built from.
     pub(crate) build: String,
 }
@@ -162,6 +169,14 @@ impl Resolved {
             refresh_rate_hz: config.refresh_rate_hz,
             actions,
             hash_frames: false,
+            has_results: true,
+            faults: config
+                .faults
+                .faults()
+                .iter()
+                .filter(|fault| !HEARD_CALLS.contains(&fault.entry_point()))
+                .map(ToString::to_string)
+                .collect(),
             build: String::new(),
         }
     }

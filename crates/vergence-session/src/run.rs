@@ -6,8 +6,10 @@ use std::time::Duration;
 
 use vergence_plan::{Plan, Requests};
 use vergence_scene::Scene;
+use vergence_sense::{Event, Said};
 use vergence_time::Timestamp;
-use vergence_xr::State;
+use vergence_xr::{State, Tap};
+use vergence_xr_sim::motion::RUN_ENDED;
 use vergence_xr_sim::{PoseProvider, Profile, Replay};
 
 use crate::book::Book;
@@ -22,7 +24,7 @@ use crate::place;
 use crate::pose_log::PoseLog;
 use crate::report::{RecordReport, RunReport};
 use crate::tally::Tally;
-use crate::verify::{Comparison, Verifier};
+use crate::verify::{Comparison, HUNG, Verifier};
 
 /// How long a real runtime is given to come back after it was lost, seconds.
 const COME_BACK_S: f64 = 10.0;
@@ -62,6 +64,8 @@ pub(crate) struct Run<'a> {
     pub(crate) session_time: Option<Timestamp>,
     /// What the session keeps of itself; with the client while one runs.
     pub(crate) book: Option<Box<Book>>,
+    /// Whether it was seen to that there is one, where one is asked for: the first session that can be made does.
+    pub(crate) has_booked: bool,
     /// A recording that is lived through again.
     pub(crate) again: Option<Again>,
     pub(crate) report: RunReport,
@@ -118,7 +122,8 @@ pub fn run(
     config: &RunConfig,
     watch: &mut dyn FnMut(Happening<'_>),
 ) -> Result<RunReport, Error> {
-    whole(scene, config, None, watch).map(|(report, _)| report)
+    let Lived { report, ended, .. } = whole(scene, config, None, watch)?;
+    ended.map(|()| report)
 }
 
 /// As [`run`], but what happens is that of a recording; with how it compares, where that is asked for.
@@ -127,8 +132,17 @@ pub(crate) fn run_again(
     config: &RunConfig,
     again: Again,
     watch: &mut dyn FnMut(Happening<'_>),
-) -> Result<(RunReport, Option<Comparison>), Error> {
+) -> Result<Lived, Error> {
     whole(scene, config, Some(again), watch)
+}
+
+/// What came of a run.
+pub(crate) struct Lived {
+    pub(crate) report: RunReport,
+    /// How it compares with a recording, where that is asked for.
+    pub(crate) comparison: Option<Comparison>,
+    /// How it failed, where it did.
+    pub(crate) ended: Result<(), Error>,
 }
 
 fn whole(
@@ -136,7 +150,7 @@ fn whole(
     config: &RunConfig,
     again: Option<Again>,
     watch: &mut dyn FnMut(Happening<'_>),
-) -> Result<(RunReport, Option<Comparison>), Error> {
+) -> Result<Lived, Error> {
     check(config)?;
     check_recording(scene, config)?;
     let requests = Requests {
@@ -160,17 +174,24 @@ fn whole(
         motion: None,
         session_time: None,
         book: None,
+        has_booked: false,
         again,
         report: RunReport { warnings: scene.warnings.clone(), ..RunReport::default() },
         watch,
     };
     let result = sessions(&mut run);
+    if let Some(book) = &mut run.book {
+        let end = match &result {
+            Ok(()) => run.report.state.clone(),
+            Err(Error::Headset(error @ vergence_xr::Error::Hung { .. })) => format!("{HUNG}: {error}"),
+            Err(error) => format!("failed: {error}"),
+        };
+        book.hear(&Said::Event(Event { text: end.into(), ..Event::new(RUN_ENDED, "") }));
+    }
     // What was written so far is finished also where the run failed: the run's own failure is the one to report.
     let comparison = close_book(&mut run);
     let written = finish(&mut run);
-    result?;
-    written?;
-    Ok((run.report, comparison))
+    Ok(Lived { report: run.report, comparison, ended: result.and(written) })
 }
 
 /// What the run reads must not be what it writes.

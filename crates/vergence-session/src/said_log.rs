@@ -3,35 +3,50 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use vergence_log::{Entry, Reader};
+use vergence_log::{Ending, Entry, Reader};
 use vergence_sense::{
-    Axis, Body, Button, ControlState, Event, FrameHash, FrameTiming, Hand, Haptic, RawJoints, RawLocation,
-    RawViews, Said, Sample, Vector2,
+    Axis, Body, Button, CallResult, ControlState, Event, FrameHash, FrameTiming, Hand, Haptic, RawJoints,
+    RawLocation, RawViews, Said, Sample, Vector2,
 };
 use vergence_time::Timestamp;
 use vergence_xr_sim::motion::SESSION_BEGINS;
 
 use crate::recording::name;
 
-/// Where a log stopped making sense, for whoever asks afterwards.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Trouble(Arc<Mutex<Option<vergence_log::Error>>>);
+/// Most of what may be said for one frame: a log that says more without a frame's times (another program's, or a part
+/// without them) is none that can be replayed.
+const MOST_SAID: usize = 1 << 16;
 
-impl Trouble {
-    pub(crate) fn take(&self) -> Option<vergence_log::Error> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+/// How reading a log ended, for whoever asks afterwards.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Outcome(Arc<Mutex<(Option<vergence_log::Error>, Option<Ending>)>>);
+
+impl Outcome {
+    /// Where the log stopped making sense, where it did.
+    pub(crate) fn trouble(&self) -> Option<vergence_log::Error> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).0.clone()
+    }
+
+    /// Whether the log was read to its end, and that is the end of a recording.
+    pub(crate) fn is_complete(&self) -> bool {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).1 == Some(Ending::Complete)
+    }
+
+    pub(crate) fn set(&self, trouble: Option<vergence_log::Error>, ending: Option<Ending>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = (trouble, ending);
     }
 }
 
-/// The frames of a log, one list for each: its events, [`Said::Frame`], the answers, [`Said::Submitted`]. The last list may
-/// have events only. A frame that is not whole (the recording was cut off, or the session lost within it) is left out.
+/// The frames of a log, one list for each: what came before it, [`Said::Frame`], what came in it, [`Said::Submitted`]; that
+/// in which a session was lost has no end. The last list may have no frame. One that a kill cut off is left out.
 pub(crate) struct Frames {
     reader: Option<Reader>,
     actions: Arc<Vec<String>>,
-    events: Vec<Said>,
-    calls: Vec<Said>,
+    said: Vec<Said>,
+    /// Where in `said` the frame begins that is under way.
+    begun: Option<usize>,
     submitted: Option<RawViews>,
-    trouble: Trouble,
+    outcome: Outcome,
 }
 
 impl Frames {
@@ -39,32 +54,42 @@ impl Frames {
     pub(crate) fn open(
         path: &Path,
         actions: Arc<Vec<String>>,
-        trouble: Trouble,
+        outcome: Outcome,
     ) -> Result<Self, vergence_log::Error> {
-        let reader = Reader::open(path)?;
-        Ok(Self {
-            reader: Some(reader),
-            actions,
-            events: Vec::new(),
-            calls: Vec::new(),
-            submitted: None,
-            trouble,
-        })
+        let reader = Some(Reader::open(path)?);
+        Ok(Self { reader, actions, said: Vec::new(), begun: None, submitted: None, outcome })
     }
 
     /// Reads on; whether there is more.
     fn step(&mut self) -> Result<Step, vergence_log::Error> {
         let Some(reader) = &mut self.reader else { return Ok(Step::End) };
-        let Some(entry) = reader.next()? else { return Ok(Step::End) };
+        if self.said.len() >= MOST_SAID {
+            return Err(vergence_log::Error::Request(format!(
+                "{}: expected times of frames in stream {}, found {MOST_SAID} messages without",
+                reader.path().display(),
+                name::TIMING
+            )));
+        }
+        let Some(entry) = reader.next()? else {
+            self.outcome.set(None, reader.ending());
+            return Ok(Step::End);
+        };
         match take(&entry, &self.actions)? {
-            Taken::Said(Said::Event(event)) => {
-                if event.name == SESSION_BEGINS {
-                    self.calls.clear();
-                    self.submitted = None;
+            Taken::Said(said) => {
+                // Logs of earlier versions do not tell frames in which a session was lost.
+                if matches!(&said, Said::Event(event) if event.name == SESSION_BEGINS) {
+                    self.forget_frame();
                 }
-                self.events.push(Said::Event(event));
+                let in_frame = match &said {
+                    Said::Event(_) => false,
+                    Said::Result(result) => result.in_frame,
+                    _ => true,
+                };
+                if in_frame {
+                    self.begun.get_or_insert(self.said.len());
+                }
+                self.said.push(said);
             }
-            Taken::Said(said) => self.calls.push(said),
             Taken::Submitted(views) => self.submitted = Some(views),
             Taken::Timing(timing) => return Ok(Step::Frame(timing)),
             Taken::Nothing => {}
@@ -73,16 +98,36 @@ impl Frames {
     }
 
     fn frame(&mut self, timing: &FrameTiming) -> Vec<Said> {
-        let mut frame = std::mem::take(&mut self.events);
-        frame.push(Said::Frame {
-            now: timing.wait_returned,
-            display: timing.predicted_display,
-            period: timing.predicted_period,
-            should_render: timing.should_render,
-        });
-        frame.append(&mut self.calls);
-        frame.push(Said::Submitted { display: timing.predicted_display, views: self.submitted.take() });
+        let mut frame = std::mem::take(&mut self.said);
+        let begun = self.begun.take().unwrap_or(frame.len());
+        frame.insert(
+            begun,
+            Said::Frame {
+                now: timing.wait_returned,
+                display: timing.predicted_display,
+                period: timing.predicted_period,
+                should_render: timing.should_render,
+                raw_display: timing.raw_display,
+                raw_period: timing.raw_period,
+            },
+        );
+        let views = self.submitted.take();
+        if timing.ended {
+            frame.push(Said::Submitted { display: timing.predicted_display, views });
+        }
         frame
+    }
+
+    /// A frame whose times are missing is none; what happened in it did happen.
+    fn forget_frame(&mut self) {
+        self.submitted = None;
+        if self.begun.take().is_some() {
+            self.said.retain(|said| match said {
+                Said::Event(_) => true,
+                Said::Result(result) => !result.in_frame,
+                _ => false,
+            });
+        }
     }
 }
 
@@ -102,14 +147,15 @@ impl Iterator for Frames {
                 Ok(Step::Frame(timing)) => return Some(self.frame(&timing)),
                 Ok(Step::End) => break,
                 Err(error) => {
-                    *self.trouble.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                    self.outcome.set(Some(error), None);
                     break;
                 }
             }
         }
         self.reader = None;
-        let events = std::mem::take(&mut self.events);
-        (!events.is_empty()).then_some(events)
+        self.forget_frame();
+        let rest = std::mem::take(&mut self.said);
+        (!rest.is_empty()).then_some(rest)
     }
 }
 
@@ -129,6 +175,7 @@ fn take(entry: &Entry<'_>, actions: &[String]) -> Result<Taken, vergence_log::Er
     };
     Ok(match entry.stream.name.as_str() {
         name::EVENTS => Taken::Said(Said::Event(entry.decode::<Event>()?.value)),
+        name::RESULTS => Taken::Said(Said::Result(entry.decode::<CallResult>()?.value)),
         name::TIMING => Taken::Timing(entry.decode::<FrameTiming>()?.value),
         name::HASHES => Taken::Said(Said::Hash(entry.decode::<FrameHash>()?.value)),
         name::SUBMITTED => Taken::Submitted(entry.decode::<RawViews>()?.value),

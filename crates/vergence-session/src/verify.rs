@@ -2,13 +2,17 @@
 
 use serde::Serialize;
 use vergence_sense::{Body, Said};
+use vergence_xr_sim::motion::{RUN_ENDED, SESSION_BEGINS};
+
+use crate::said_log::Outcome;
 
 /// How a replay compares with its recording. Its JSON is an interface.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Comparison {
     /// Frames of the recording.
     pub frames: u64,
-    /// Of these, frames in which every call was made and answered alike, bit for bit, and the same views were submitted.
+    /// Of these, frames in which every call was made and answered alike, bit for bit, failed ones included, and the same
+    /// views were submitted. Frames in which a session was lost are compared, too, and not counted.
     pub frames_equal: u64,
     /// Events of the recording.
     pub events: u64,
@@ -20,6 +24,11 @@ pub struct Comparison {
     pub images_equal: u64,
     /// Why pictures were not compared; `None` where they were.
     pub images_not_compared: Option<String>,
+    /// Frames of the replay after the last one of the recording. A difference where the recording has its end; one that
+    /// was cut off, a part of one, and one whose runtime hung say nothing of what came then.
+    pub extra_frames: u64,
+    /// Events of the replay after the last one of the recording; as for frames.
+    pub extra_events: u64,
     /// The first thing that differs, in words; `None` where nothing does.
     pub first_difference: Option<String>,
 }
@@ -34,43 +43,92 @@ impl Comparison {
 /// Hears a session and reads the recording beside it.
 pub(crate) struct Verifier {
     expected: Box<dyn Iterator<Item = Vec<Said>> + Send>,
+    outcome: Outcome,
+    /// Calls that failed are in the recording.
+    has_results: bool,
     heard: Vec<Said>,
+    /// A frame was waited for and not ended.
+    in_frame: bool,
     result: Comparison,
-    /// Frames and events that the recording does not have are no difference after its end.
+    /// All of the recording was compared.
     is_over: bool,
+    /// What the recording lacks at its end, the replay must lack.
+    ends_here: bool,
 }
+
+/// How the event [`RUN_ENDED`] begins where the runtime did not answer any more.
+pub(crate) const HUNG: &str = "hung";
 
 fn is_event(said: &Said) -> bool {
     matches!(said, Said::Event(_))
 }
 
-/// What the simulated headset cannot give is not compared.
-fn is_call(said: &Said) -> bool {
-    !matches!(said, Said::Event(_) | Said::Hash(_) | Said::Joints { .. } | Said::Place { of: Body::Gaze, .. })
+fn is_named(said: &Said, name: &str) -> bool {
+    matches!(said, Said::Event(event) if event.name == name)
 }
 
 impl Verifier {
-    /// `images_not_compared` says why the hashes of pictures mean nothing here, where they do not.
+    /// `outcome` is that of reading `expected`; `images_not_compared` says why the hashes of pictures mean nothing here,
+    /// where they do not.
     pub(crate) fn new(
         expected: impl Iterator<Item = Vec<Said>> + Send + 'static,
+        outcome: Outcome,
+        has_results: bool,
         images_not_compared: Option<String>,
     ) -> Self {
-        let result = Comparison { images_not_compared, ..Comparison::default() };
-        Self { expected: Box::new(expected), heard: Vec::with_capacity(64), result, is_over: false }
+        Self {
+            expected: Box::new(expected),
+            outcome,
+            has_results,
+            heard: Vec::with_capacity(64),
+            in_frame: false,
+            result: Comparison { images_not_compared, ..Comparison::default() },
+            is_over: false,
+            ends_here: false,
+        }
     }
 
     pub(crate) fn hear(&mut self, said: &Said) {
-        self.heard.push(said.clone());
-        if matches!(said, Said::Submitted { .. }) {
+        let frame_is_lost = is_named(said, SESSION_BEGINS) || is_named(said, RUN_ENDED);
+        if frame_is_lost && std::mem::take(&mut self.in_frame) {
             self.compare();
+        }
+        if !self.has_results && (is_named(said, RUN_ENDED) || matches!(said, Said::Result(_))) {
+            return;
+        }
+        self.heard.push(said.clone());
+        match said {
+            Said::Frame { .. } => self.in_frame = true,
+            Said::Submitted { .. } => {
+                self.in_frame = false;
+                self.compare();
+            }
+            _ => {}
         }
     }
 
     fn compare(&mut self) {
+        let heard = std::mem::take(&mut self.heard);
         match self.expected.next() {
-            Some(expected) => self.compare_with(&expected),
-            None => self.is_over = true,
+            Some(expected) if expected.iter().any(|said| matches!(said, Said::Frame { .. })) => {
+                self.compare_frame(&expected, &heard);
+            }
+            Some(rest) => {
+                // Nothing comes after it: how the recording ends is known.
+                let end = rest.iter().find_map(|said| match said {
+                    Said::Event(event) if event.name == RUN_ENDED => Some(&event.text),
+                    _ => None,
+                });
+                let hung = end.is_some_and(|end| end.starts_with(HUNG));
+                self.ends_here = end.is_some() && !hung && self.outcome.is_complete();
+                self.compare_rest(&rest, &heard, hung);
+            }
+            None => {
+                self.is_over = true;
+                self.compare_extra(&heard);
+            }
         }
+        self.heard = heard;
         self.heard.clear();
     }
 
@@ -80,61 +138,97 @@ impl Verifier {
         }
     }
 
-    fn compare_with(&mut self, expected: &[Said]) {
-        let heard = std::mem::take(&mut self.heard);
-        let frame = self.result.frames;
-        // A list without a frame is what was left at the end.
-        let whole = expected.iter().any(|said| matches!(said, Said::Frame { .. }));
-
-        let (mut events, mut events_heard) =
-            (expected.iter().filter(|s| is_event(s)), heard.iter().filter(|s| is_event(s)));
-        loop {
-            match (events.next(), events_heard.next()) {
-                (Some(a), Some(b)) if a.is_same(b) => {
-                    self.result.events += 1;
-                    self.result.events_equal += 1;
-                }
-                (Some(a), b) => {
-                    self.result.events += 1;
-                    self.differs(|| {
-                        format!("before frame {frame}: expected {}, found {}", word(a), found(b))
-                    });
-                }
-                (None, Some(b)) => {
-                    // After the end of a recording that was cut off, a session still says farewell.
-                    if whole {
-                        self.differs(|| {
-                            format!("before frame {frame}: expected no event, found {}", word(b))
-                        });
-                    }
-                }
-                (None, None) => break,
+    /// Compares events one by one; how many more came than were expected.
+    fn compare_events<'a>(
+        &mut self,
+        expected: impl Iterator<Item = &'a Said>,
+        heard: &[Said],
+        place: impl Fn() -> String,
+    ) -> u64 {
+        let mut heard = heard.iter().filter(|said| is_event(said));
+        for a in expected {
+            let b = heard.next();
+            self.result.events += 1;
+            if b.is_some_and(|b| a.is_same(b)) {
+                self.result.events_equal += 1;
+            } else {
+                self.differs(|| format!("{}: expected {}, found {}", place(), word(a), found(b)));
             }
         }
-        if !whole {
-            return;
+        let mut extra = 0;
+        for b in heard {
+            extra += 1;
+            if self.ends_here {
+                self.differs(|| format!("{}: expected no event, found {}", place(), word(b)));
+            }
         }
+        extra
+    }
 
-        self.result.frames += 1;
-        let (mut calls, mut calls_heard) =
-            (expected.iter().filter(|s| is_call(s)), heard.iter().filter(|s| is_call(s)));
-        let mut equal = true;
+    /// Whether all calls are alike.
+    fn compare_calls(&mut self, expected: &[Said], heard: &[Said], place: impl Fn() -> String) -> bool {
+        let has_results = self.has_results;
+        let is_call = |said: &&Said| match said {
+            Said::Event(_) | Said::Hash(_) => false,
+            // What the simulated headset cannot give is not compared.
+            Said::Joints { .. } | Said::Place { of: Body::Gaze, .. } => false,
+            Said::Result(_) => has_results,
+            _ => true,
+        };
+        let (mut calls, mut calls_heard) = (expected.iter().filter(is_call), heard.iter().filter(is_call));
         for call in 0.. {
             match (calls.next(), calls_heard.next()) {
                 (Some(a), Some(b)) if a.is_same(b) => {}
                 (None, None) => break,
                 (a, b) => {
-                    equal = false;
                     let expected = found(a);
                     self.differs(|| {
-                        format!("frame {frame}, call {call}: expected {expected}, found {}", found(b))
+                        format!("{}, call {call}: expected {expected}, found {}", place(), found(b))
                     });
-                    break;
+                    return false;
                 }
             }
         }
-        self.result.frames_equal += u64::from(equal);
-        self.compare_images(expected, &heard, frame);
+        true
+    }
+
+    fn compare_frame(&mut self, expected: &[Said], heard: &[Said]) {
+        let frame = self.result.frames;
+        let before = || format!("before frame {frame}");
+        // Before a frame of the recording, one event too many is a difference whatever the end is like.
+        let ends_here = std::mem::replace(&mut self.ends_here, true);
+        let extra = self.compare_events(expected.iter().filter(|said| is_event(said)), heard, before);
+        self.ends_here = ends_here;
+        self.result.extra_events += extra;
+        let equal = self.compare_calls(expected, heard, || format!("frame {frame}"));
+        if expected.iter().any(|said| matches!(said, Said::Submitted { .. })) {
+            self.result.frames += 1;
+            self.result.frames_equal += u64::from(equal);
+        }
+        self.compare_images(expected, heard, frame);
+    }
+
+    /// What came after the last frame.
+    fn compare_rest(&mut self, rest: &[Said], heard: &[Said], hung: bool) {
+        let place = || "after the last frame".to_owned();
+        // That a runtime hung is not done again.
+        let expected = rest.iter().filter(|said| is_event(said) && !(hung && is_named(said, RUN_ENDED)));
+        self.result.extra_events += self.compare_events(expected, heard, place);
+        if self.ends_here {
+            self.compare_calls(rest, heard, place);
+        }
+        self.result.extra_frames += u64::from(heard.iter().any(|said| matches!(said, Said::Frame { .. })));
+    }
+
+    fn compare_extra(&mut self, heard: &[Said]) {
+        let nothing = std::iter::empty::<&Said>();
+        self.result.extra_events += self.compare_events(nothing, heard, || "after the end".to_owned());
+        if heard.iter().any(|said| matches!(said, Said::Frame { .. })) {
+            self.result.extra_frames += 1;
+            if self.ends_here {
+                self.differs(|| "after the end: expected no frame, found one".to_owned());
+            }
+        }
     }
 
     fn compare_images(&mut self, expected: &[Said], heard: &[Said], frame: u64) {
@@ -181,21 +275,41 @@ fn word(said: &Said) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vergence_sense::{Event, FrameHash};
+    use vergence_sense::{CallResult, Event, FrameHash};
     use vergence_time::{Span, Timestamp};
 
     fn frame(display: i64, state: &'static str, hash: u8) -> Vec<Said> {
         let display = Timestamp::from_nanos(display);
+        let period = Span::from_millis(11);
         vec![
             Said::Event(Event::new("session_state", state)),
-            Said::Frame { now: display, display, period: Span::from_millis(11), should_render: true },
+            Said::Frame {
+                now: display,
+                display,
+                period,
+                should_render: true,
+                raw_display: display,
+                raw_period: period,
+            },
             Said::Hash(FrameHash { frame: 0, view: 0, hash: [hash; 32] }),
             Said::Submitted { display, views: None },
         ]
     }
 
+    fn event(name: &'static str, text: &'static str) -> Said {
+        Said::Event(Event::new(name, text))
+    }
+
+    fn failed(call: &'static str) -> Said {
+        let result = "ERROR_RUNTIME_FAILURE".into();
+        Said::Result(CallResult { call: call.into(), nth: 1, in_frame: false, code: -2, result })
+    }
+
+    /// `expected` was recorded to its end.
     fn compared(expected: Vec<Vec<Said>>, heard: Vec<Vec<Said>>, why_not: Option<&str>) -> Comparison {
-        let mut verifier = Verifier::new(expected.into_iter(), why_not.map(str::to_owned));
+        let outcome = Outcome::default();
+        outcome.set(None, Some(vergence_log::Ending::Complete));
+        let mut verifier = Verifier::new(expected.into_iter(), outcome, true, why_not.map(str::to_owned));
         heard.iter().flatten().for_each(|said| verifier.hear(said));
         verifier.finish()
     }
@@ -225,14 +339,59 @@ mod tests {
         );
     }
 
+    /// Without the mark of its end a recording was cut off: what a session says then is counted.
     #[test]
-    fn after_the_end_of_a_recording_nothing_differs() {
-        let log = vec![frame(1, "READY", 1), vec![Said::Event(Event::new("session_state", "STOPPING"))]];
+    fn after_a_recording_that_was_cut_off_nothing_differs() {
+        let log = vec![frame(1, "READY", 1), vec![event("session_state", "STOPPING")]];
         let mut heard = log.clone();
         heard.push(frame(2, "EXITING", 1));
         let result = compared(log, heard, None);
-        assert_eq!((result.frames, result.frames_equal), (1, 1));
+        assert_eq!((result.frames, result.frames_equal, result.extra_frames), (1, 1, 1));
         // The farewell of the last session came within one more frame here: the recorded event is there.
         assert_eq!((result.events, result.events_equal, result.is_equal()), (2, 2, true));
+        assert_eq!(result.extra_events, 1);
+    }
+
+    #[test]
+    fn after_the_end_of_a_whole_recording_everything_differs() {
+        let end = || vec![event("session_state", "EXITING"), event(RUN_ENDED, "exiting")];
+        let log = || vec![frame(1, "READY", 1), end()];
+        let same = compared(log(), log(), None);
+        assert_eq!((same.events_equal, same.extra_events, same.first_difference), (3, 0, None));
+        // One frame more before the end, one event more after it, a call that failed on the way out.
+        let more = compared(log(), vec![frame(1, "READY", 1), frame(2, "IDLE", 1), end()], None);
+        assert!(more.extra_frames == 1 && !more.is_equal(), "{more:?}");
+        let more = compared(log(), vec![frame(1, "READY", 1), end(), vec![event("events_lost", "")]], None);
+        assert!(more.first_difference.unwrap().starts_with("after the last frame: expected no event"));
+        let more = compared(log(), vec![frame(1, "READY", 1), vec![failed("xrEndFrame")], end()], None);
+        assert!(more.first_difference.unwrap().contains("ERROR_RUNTIME_FAILURE"));
+        let other =
+            compared(log(), vec![frame(1, "READY", 1), vec![event("session_state", "EXITING")]], None);
+        assert!(other.first_difference.unwrap().contains(RUN_ENDED), "the end is missing");
+        // A runtime that hung does not hang again.
+        let hung = vec![frame(1, "READY", 1), vec![event(RUN_ENDED, "hung: xrWaitFrame")]];
+        let result = compared(hung, log(), None);
+        assert!(result.is_equal() && result.extra_events == 2, "{result:?}");
+    }
+
+    /// The frame in which a session was lost is compared, and not counted among the frames.
+    #[test]
+    fn a_frame_that_was_lost_is_compared() {
+        let lost = |call| {
+            let mut lost = frame(2, "VISIBLE", 1);
+            lost.pop();
+            lost.push(failed(call));
+            lost
+        };
+        let again = || {
+            let mut again = frame(3, "READY", 1);
+            again.insert(0, event(SESSION_BEGINS, ""));
+            again
+        };
+        let log = || vec![frame(1, "READY", 1), lost("xrLocateViews"), again()];
+        let same = compared(log(), log(), None);
+        assert_eq!((same.frames, same.frames_equal, same.events_equal, same.is_equal()), (2, 2, 4, true));
+        let other = compared(log(), vec![frame(1, "READY", 1), lost("xrSyncActions"), again()], None);
+        assert!(other.frames_equal == 2 && other.first_difference.unwrap().contains("xrSyncActions"));
     }
 }

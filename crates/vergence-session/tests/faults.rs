@@ -18,7 +18,9 @@ use stage::has_vulkan;
 use vergence_geom::{Affine, Rigid};
 use vergence_scene::Scene;
 use vergence_scene::model::{Local, Material, Mesh, Node, Primitive, Shading, Touchable};
-use vergence_session::{Error, Fault, FaultPlan, HeadsetChoice, RunConfig, run};
+use vergence_session::{
+    Error, Fault, FaultPlan, HeadsetChoice, RecordConfig, ReplayConfig, RunConfig, SessionLog, replay, run,
+};
 use vergence_xr::State;
 use vergence_xr_sim::fault;
 
@@ -169,6 +171,31 @@ struct Cell {
     call: u64,
 }
 
+impl std::fmt::Display for Cell {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}={}@{}", self.entry_point, self.what, self.call)
+    }
+}
+
+/// Everything that can be done to the entry points that a run calls so often.
+fn all_cells(calls: &BTreeMap<&'static str, u64>) -> Vec<Cell> {
+    let mut cells = Vec::new();
+    for (&entry_point, &count) in calls {
+        let late = (count * 6 / 10).max(3);
+        let mut what = fault::documented(entry_point);
+        what.extend(fault::bad_values(entry_point));
+        if entry_point == "xrWaitFrame" {
+            what.push("HANG".into());
+        }
+        for what in what {
+            for call in [1, 2, late] {
+                cells.push(Cell { entry_point, what: what.clone(), call });
+            }
+        }
+    }
+    cells
+}
+
 #[derive(Debug)]
 enum Outcome {
     Unreached,
@@ -179,7 +206,7 @@ enum Outcome {
 
 /// Runs a cell on a thread of its own: the runtime is configured per thread, and what hangs is left behind.
 fn play(scene: &Arc<Scene>, profile: &std::path::Path, cell: &Cell) -> Outcome {
-    let fault = Fault::parse(&format!("{}={}@{}", cell.entry_point, cell.what, cell.call)).unwrap();
+    let fault = Fault::parse(&cell.to_string()).unwrap();
     let plan = FaultPlan::new([fault]);
     let hang_s = if cell.what == "HANG" { HANG_S } else { 9.0 };
     let (scene, config) = (Arc::clone(scene), config(profile, plan.clone(), hang_s));
@@ -241,7 +268,7 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
     let counted = FaultPlan::new([]);
     let report = run(&scene, &config(&profile, counted.clone(), 9.0), &mut |_| {}).unwrap();
     assert_eq!((report.frames, report.losses), (FRAMES, 0));
-    let calls: BTreeMap<&str, u64> = counted.calls();
+    let calls: BTreeMap<&'static str, u64> = counted.calls();
     println!("a run without faults takes {:?} and calls:", started.elapsed());
     for (entry_point, count) in &calls {
         println!("    {count:>5} x {entry_point}");
@@ -249,22 +276,13 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
     let never: Vec<&str> = fault::entry_points().filter(|name| !calls.contains_key(name)).collect();
     println!("the client never calls: {}", never.join(", "));
 
-    let mut cells = Vec::new();
-    for (&entry_point, &count) in &calls {
-        let late = (count * 6 / 10).max(3);
-        let mut what = fault::documented(entry_point);
-        what.extend(fault::bad_values(entry_point));
-        if entry_point == "xrWaitFrame" {
-            what.push("HANG".into());
-        }
-        for what in what {
-            for call in [1, 2, late] {
-                cells.push(Cell { entry_point, what: what.clone(), call });
-            }
-        }
-    }
+    let mut cells = all_cells(&calls);
     if let Ok(only) = std::env::var("VERGENCE_FAULTS_ONLY") {
-        cells.retain(|cell| format!("{}={}@{}", cell.entry_point, cell.what, cell.call).contains(&only));
+        cells.retain(|cell| cell.to_string().contains(&only));
+        assert!(
+            !cells.is_empty(),
+            "VERGENCE_FAULTS_ONLY={only}: expected a part of a cell's name, found none"
+        );
     }
 
     let next = AtomicUsize::new(0);
@@ -277,7 +295,7 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
                     let reachable = cell.call <= calls[cell.entry_point];
                     let outcome = if reachable { play(&scene, &profile, cell) } else { Outcome::Unreached };
                     if let Outcome::Wrong(why) = &outcome {
-                        println!("{}={}@{}: {why}", cell.entry_point, cell.what, cell.call);
+                        println!("{cell}: {why}");
                     }
                     let done = &mut *outcomes.lock().unwrap();
                     done.push((cell.clone(), outcome));
@@ -302,7 +320,7 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
         .sort_by(|(a, _), (b, _)| (a.entry_point, &a.what, a.call).cmp(&(b.entry_point, &b.what, b.call)));
     let (mut ends, mut unreached, mut wrong) = (BTreeMap::<End, usize>::new(), Vec::new(), Vec::new());
     for (cell, outcome) in &outcomes {
-        let name = format!("{}={}@{}", cell.entry_point, cell.what, cell.call);
+        let name = cell.to_string();
         match outcome {
             Outcome::Unreached => unreached.push(name),
             Outcome::Ended(end, sentence) => {
@@ -331,4 +349,116 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
         started.elapsed().as_secs_f64()
     );
     assert!(wrong.is_empty(), "{} cells failed", wrong.len());
+}
+
+/// How a recording under a fault was lived through again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Again {
+    /// The fault did not come.
+    Unreached,
+    /// There was no session to record.
+    NoSession,
+    /// The session had no whole frame, and the replay says so.
+    NoFrame,
+    /// All frames, events and pictures are equal.
+    Equal,
+}
+
+/// Records a run with a fault and verifies the recording.
+fn record_and_verify(scene: &Arc<Scene>, profile: &std::path::Path, cell: &Cell) -> Result<Again, String> {
+    let log = profile.with_file_name(format!("{cell}.mcap"));
+    let plan = FaultPlan::new([Fault::parse(&cell.to_string()).unwrap()]);
+    let hang_s = if cell.what == "HANG" { HANG_S } else { 9.0 };
+    let record =
+        RecordConfig { path: log.clone(), durable: false, hash_frames: Some(true), attach_scene: false };
+    let config = RunConfig { record: Some(record), ..config(profile, plan.clone(), hang_s) };
+    // How it ends is the matrix's to judge.
+    let ended = run(scene, &config, &mut |_| {});
+    if plan.hits().is_empty() {
+        std::fs::remove_file(&log).ok();
+        return Ok(Again::Unreached);
+    }
+    if !log.exists() {
+        return if ended.is_err() { Ok(Again::NoSession) } else { Err("no recording".into()) };
+    }
+    let verified = SessionLog::open(&log).and_then(|log| {
+        let config = ReplayConfig { verify: true, ..ReplayConfig::default() };
+        replay(&log, scene, &config, &mut |_| {})
+    });
+    std::fs::remove_file(&log).ok();
+    let report = match verified {
+        Ok(report) => report,
+        Err(error) if error.to_string().contains("without a whole frame") => return Ok(Again::NoFrame),
+        Err(error) => return Err(error.to_string()),
+    };
+    let c = &report.comparison;
+    let equal = (c.frames_equal, c.events_equal, c.images_equal) == (c.frames, c.events, c.images);
+    if !report.complete || !c.is_equal() || !equal || c.images_not_compared.is_some() || c.frames == 0 {
+        return Err(format!("{c:?}"));
+    }
+    if cell.what != "HANG" && c.extra_frames + c.extra_events > 0 {
+        return Err(format!("more than was recorded: {c:?}"));
+    }
+    Ok(Again::Equal)
+}
+
+/// A recording of whatever a runtime did wrong is lived through again, call by call. `VERGENCE_FAULTS_ALL` takes each cell of
+/// the matrix, else so many of each entry point.
+#[test]
+fn what_was_recorded_under_a_fault_replays_equal() {
+    const OF_EACH: usize = 2;
+    if !has_vulkan() {
+        return;
+    }
+    let started = Instant::now();
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, profile) = (floor(), profile(folder.path()));
+    let counted = FaultPlan::new([]);
+    run(&scene, &config(&profile, counted.clone(), 9.0), &mut |_| {}).unwrap();
+    let calls = counted.calls();
+    let mut cells = all_cells(&calls);
+    cells.retain(|cell| cell.call <= calls[cell.entry_point]);
+    if std::env::var_os("VERGENCE_FAULTS_ALL").is_none() {
+        // Evenly over what there is for an entry point, from its end on: errors, then bad values, come last.
+        let mut of: BTreeMap<&str, Vec<Cell>> = BTreeMap::new();
+        cells.into_iter().for_each(|cell| of.entry(cell.entry_point).or_default().push(cell));
+        let some = |all: Vec<Cell>| {
+            let step = all.len().div_ceil(OF_EACH).max(1);
+            // No multiple of three, the number of calls of a fault.
+            let step = if step > 1 && step.is_multiple_of(3) { step + 1 } else { step };
+            all.into_iter().rev().step_by(step).collect::<Vec<_>>()
+        };
+        cells = of.into_values().flat_map(some).collect();
+    }
+    if let Ok(only) = std::env::var("VERGENCE_FAULTS_ONLY") {
+        cells.retain(|cell| cell.to_string().contains(&only));
+    }
+    let (next, outcomes) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    std::thread::scope(|scope| {
+        for _ in 0..WORKERS {
+            scope.spawn(|| {
+                while let Some(cell) = cells.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let again = record_and_verify(&scene, &profile, cell);
+                    outcomes.lock().unwrap().push((cell.clone(), again));
+                }
+            });
+        }
+    });
+    let (mut ways, mut wrong) = (BTreeMap::<Again, usize>::new(), Vec::new());
+    for (cell, again) in outcomes.into_inner().unwrap() {
+        match again {
+            Ok(again) => *ways.entry(again).or_default() += 1,
+            Err(why) => wrong.push(format!("{cell}: {why}")),
+        }
+    }
+    wrong.sort();
+    wrong.iter().for_each(|line| println!("FAILED {line}"));
+    println!(
+        "{} cells recorded and verified: {ways:?}, {} failed, in {:.0} s",
+        cells.len(),
+        wrong.len(),
+        started.elapsed().as_secs_f64()
+    );
+    assert!(wrong.is_empty(), "{} cells failed", wrong.len());
+    assert!(ways.get(&Again::Equal).copied().unwrap_or(0) * 2 > cells.len(), "{ways:?}");
 }

@@ -9,14 +9,15 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use openxr_sys as sys;
 
 use crate::fault::{self, Active, Effect};
+use crate::motion::result_of;
 
 /// What a function of the runtime returns: a success code or an error code of OpenXR.
 pub(crate) type XrResult<T = sys::Result> = Result<T, sys::Result>;
 
-/// Runs a function of the runtime, or the fault that is planned for this call; a panic inside is caught and becomes
+/// Runs a function of the runtime, or the fault that is planned for this call or was recorded of it; a panic inside is caught and becomes
 /// `XR_ERROR_RUNTIME_FAILURE`. `of` is the handle that is the first argument, 0 where there is none.
 pub(crate) fn guard(name: &'static str, of: u64, call: impl FnOnce() -> XrResult) -> sys::Result {
-    let effect = fault::effect(name, of);
+    let effect = fault::effect(name, of).or_else(|| result_of(name, of).map(Effect::Code));
     if let Some(code) = effect.and_then(Effect::replaces_call) {
         return code;
     }

@@ -14,7 +14,7 @@ use vergence_time::{Span, Timestamp};
 
 use crate::connection::Connection;
 use crate::convert;
-use crate::error::{Error, In, check};
+use crate::error::{Error, In};
 use crate::event::{self, Notice, Notices};
 use crate::hands::Hands;
 use crate::hidden_area::{HiddenArea, hidden_area};
@@ -25,7 +25,7 @@ use crate::opening::{Pictures, REFRESH_RATE, choose_pictures, choose_refresh_rat
 use crate::runtime_clock::RuntimeClock;
 use crate::state::{Lifecycle, State, Step};
 use crate::swapchain::{Swapchain, SwapchainDesc};
-use crate::tap::{Ear, Tap, raw_location, raw_views};
+use crate::tap::{Call, Ear, Tap, raw_location, raw_views};
 use crate::time_guard::{Prediction, TimeGuard};
 use crate::waiter::Waiter;
 
@@ -208,7 +208,7 @@ impl Client {
 
     /// The runtime's clock, where it can be asked.
     pub fn now(&self) -> Option<Timestamp> {
-        self.connection.now()
+        self.connection.now()?.ok()
     }
 
     /// The latest instant of session time that is known to have been; `None` before the first frame.
@@ -228,17 +228,17 @@ impl Client {
 
     /// From now on `tap` hears what every call of this session says.
     pub fn set_tap(&mut self, tap: Box<dyn Tap>) {
-        self.ear.0 = Some(tap);
+        self.ear = Ear::of(tap);
     }
 
     /// The tap that hears, where there is one.
     pub fn tap_mut(&mut self) -> Option<&mut dyn Tap> {
-        self.ear.0.as_deref_mut()
+        self.ear.tap.as_deref_mut()
     }
 
     /// The tap back, which hears no more.
     pub fn take_tap(&mut self) -> Option<Box<dyn Tap>> {
-        self.ear.0.take()
+        self.ear.tap.take()
     }
 
     /// Lets the tap hear something that belongs between the calls, where there is a tap.
@@ -260,26 +260,28 @@ impl Client {
     fn poll_events(&mut self) -> Result<(), Error> {
         // A runtime that never stops sending events is not followed for ever.
         for _ in 0..1000 {
-            let Self { clock, session, events, .. } = self;
+            let Self { clock, session, events, ear, .. } = self;
             let polled = clock.during(|| session.instance().poll_event(events));
             let before = self.lifecycle.state();
-            let Some(event) = polled.during("xrPollEvent")? else { break };
+            let Some(event) = ear.answer(Call::PollEvent, polled)? else { break };
             if let Some(said) = event::said(&event, &self.session) {
-                self.ear.hear(|| Said::Event(said));
+                ear.hear(|| Said::Event(said));
             }
             let step = self.notices.take(&event, &mut self.lifecycle, &self.session);
             match step {
                 Step::Nothing => {}
                 Step::Begin => {
                     let kind = self.connection.view_configuration;
-                    let Self { clock, session, .. } = self;
-                    let begun = clock.during(|| session.begin(kind)).during("xrBeginSession");
+                    let Self { clock, session, ear, .. } = self;
+                    let begun = clock.during(|| session.begin(kind));
+                    let begun = ear.answer(Call::BeginSession, begun);
                     self.settle(begun)?;
                 }
                 Step::End => {
                     (self.waited, self.begun) = (None, None);
-                    let Self { clock, session, .. } = self;
-                    let ended = clock.during(|| session.end()).during("xrEndSession");
+                    let Self { clock, session, ear, .. } = self;
+                    let ended = clock.during(|| session.end());
+                    let ended = ear.answer(Call::EndSession, ended);
                     self.settle(ended)?;
                 }
             }
@@ -315,7 +317,8 @@ impl Client {
         }
         let Self { clock, session, ear, .. } = self;
         ear.hear(|| Said::Event(Event::new("exit_requested", "")));
-        let result = clock.during(|| session.request_exit()).during("xrRequestExitSession");
+        let asked = clock.during(|| session.request_exit());
+        let result = ear.answer(Call::RequestExitSession, asked);
         self.note(result)
     }
 
@@ -329,15 +332,15 @@ impl Client {
             return Ok(frame);
         }
         // On a thread of its own: its time is not this thread's.
-        let waited = self.waiter.wait();
+        let waited = self.waiter.wait().and_then(|answer| self.ear.answer(Call::WaitFrame, answer));
         let state = self.note(waited)?;
-        let runtime_now = self.clock.during(|| self.connection.now());
-        let prediction = self.guard.check(
-            Timestamp::from_nanos(state.predicted_display_time.as_nanos()),
-            Span::from_nanos(state.predicted_display_period.as_nanos()),
-            vergence_time::Clock::now(&self.host),
-            runtime_now,
-        );
+        self.ear.next_frame();
+        let clock_said = self.clock.during(|| self.connection.now());
+        let runtime_now = clock_said.and_then(Result::ok);
+        let raw_display = Timestamp::from_nanos(state.predicted_display_time.as_nanos());
+        let raw_period = Span::from_nanos(state.predicted_display_period.as_nanos());
+        let host_now = vergence_time::Clock::now(&self.host);
+        let prediction = self.guard.check(raw_display, raw_period, host_now, runtime_now);
         if let Some(fault) = prediction.fault
             && !self.reported_fault
         {
@@ -345,7 +348,7 @@ impl Client {
         }
         self.reported_fault = prediction.fault.is_some();
         if prediction.fault.is_some() || prediction.rebased {
-            let at = Some(Timestamp::from_nanos(state.predicted_display_time.as_nanos()));
+            let at = Some(raw_display);
             let name = if prediction.rebased { "time_rebased" } else { "time_fault" };
             self.ear.hear(|| Said::Event(Event { at, ..Event::new(name, "") }));
         }
@@ -357,7 +360,13 @@ impl Client {
             display: prediction.display,
             period: prediction.period,
             should_render: state.should_render,
+            raw_display,
+            raw_period,
         });
+        if let Some(said) = clock_said {
+            // A clock that cannot be read now is none; that it could not be is heard all the same.
+            let _ = self.ear.answer(Call::ConvertTimespecTimeToTime, said);
+        }
         let frame = Frame { prediction, should_render: state.should_render };
         self.waited = Some(frame);
         Ok(frame)
@@ -368,11 +377,11 @@ impl Client {
     /// # Errors
     /// A loss, or a call out of order.
     pub fn begin(&mut self) -> Result<(), Error> {
-        let Self { clock, session, .. } = self;
+        let Self { clock, session, ear, .. } = self;
         // SAFETY: the session lives; a null begin info is allowed.
         let result = clock
             .during(|| unsafe { (session.instance().fp().begin_frame)(session.as_raw(), std::ptr::null()) });
-        let begun = check("xrBeginFrame", result);
+        let begun = ear.check(Call::BeginFrame, result);
         let result = self.note(begun)?;
         if result == sys::Result::FRAME_DISCARDED {
             self.discarded += 1;
@@ -398,9 +407,9 @@ impl Client {
     /// # Errors
     /// A loss.
     pub fn locate_head(&mut self, time: Timestamp) -> Result<Pose, Error> {
-        let Self { clock, head, local, .. } = self;
+        let Self { clock, head, local, ear, .. } = self;
         let at = openxr::Time::from_nanos(time.as_nanos());
-        let located = clock.during(|| head.locate(local, at)).during("xrLocateSpace");
+        let located = ear.answer(Call::LocateSpace, clock.during(|| head.locate(local, at)));
         let located = self.note(located)?;
         self.ear.hear(|| Said::Place {
             of: Body::Head,
@@ -416,9 +425,9 @@ impl Client {
     /// # Errors
     /// A loss.
     pub fn local_from_floor(&mut self, time: Timestamp) -> Result<Option<Rigid>, Error> {
-        let Self { clock, floor: Some(floor), local, .. } = self else { return Ok(None) };
+        let Self { clock, floor: Some(floor), local, ear, .. } = self else { return Ok(None) };
         let at = openxr::Time::from_nanos(time.as_nanos());
-        let located = clock.during(|| floor.locate(local, at)).during("xrLocateSpace");
+        let located = ear.answer(Call::LocateSpace, clock.during(|| floor.locate(local, at)));
         let located = self.note(located)?;
         self.ear.hear(|| Said::Place {
             of: Body::Floor,
@@ -441,12 +450,12 @@ impl Client {
     }
 
     fn acquire_both(&mut self) -> Result<Option<Attachments>, Error> {
-        let Self { clock, color, depth, .. } = self;
+        let Self { clock, color, depth, ear, .. } = self;
         clock.during(|| {
-            let Some(color) = color.acquire()?.map(Arc::clone) else { return Ok(None) };
+            let Some(color) = color.acquire(ear)?.map(Arc::clone) else { return Ok(None) };
             let depth = match depth {
                 None => None,
-                Some(depth) => match depth.acquire()? {
+                Some(depth) => match depth.acquire(ear)? {
                     None => return Ok(None),
                     Some(depth) => Some(Arc::clone(depth)),
                 },
@@ -510,7 +519,7 @@ impl Client {
     }
 
     fn release_and_end(&mut self, frame: &Frame, shown: Option<&Located>) -> Result<(), Error> {
-        let Self { clock, session, color, depth, local, pictures, near_m, .. } = self;
+        let Self { clock, session, color, depth, local, pictures, near_m, ear, .. } = self;
         if self.begun.take().is_none() {
             // The session ended in between: there is no frame to end.
             return Ok(());
@@ -518,8 +527,8 @@ impl Client {
         let near_z = *near_m as f32;
         clock.during(|| {
             if shown.is_some() {
-                color.release()?;
-                depth.as_mut().map_or(Ok(()), Swapchain::release)?;
+                color.release(ear)?;
+                depth.as_mut().map_or(Ok(()), |depth| depth.release(ear))?;
             }
             let Pictures { size, views, .. } = *pictures;
             let depth_info = std::array::from_fn::<_, { Located::MOST_VIEWS }, _>(|view| {
@@ -565,7 +574,7 @@ impl Client {
             };
             // SAFETY: everything that the info points to lives in this scope; the frame has been begun.
             let result = unsafe { (session.instance().fp().end_frame)(session.as_raw(), &info) };
-            check("xrEndFrame", result).map(|_| ())
+            ear.check(Call::EndFrame, result).map(|_| ())
         })
     }
 
@@ -619,7 +628,7 @@ impl Client {
         let Self { clock, session, input, ear, .. } = self;
         let Some(input) = input else { return Ok(()) };
         ear.hear(|| Said::Haptic { action: action as u16, hand, haptic: *haptic });
-        let pulsed = clock.during(|| input.pulse(session, action, hand, haptic));
+        let pulsed = clock.during(|| input.pulse(session, action, hand, haptic, ear));
         self.note(pulsed)
     }
 

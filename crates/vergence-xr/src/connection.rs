@@ -135,11 +135,12 @@ impl Connection {
     }
 
     /// The runtime's clock, where it can be read.
-    pub(crate) fn now(&self) -> Option<vergence_time::Timestamp> {
+    pub(crate) fn now(&self) -> Option<Result<vergence_time::Timestamp, openxr::sys::Result>> {
         if !self.has("XR_KHR_convert_timespec_time") {
             return None;
         }
-        self.instance.now().ok().map(|now| vergence_time::Timestamp::from_nanos(now.as_nanos()))
+        let now = self.instance.now();
+        Some(now.map(|now| vergence_time::Timestamp::from_nanos(now.as_nanos())))
     }
 }
 

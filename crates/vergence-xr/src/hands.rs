@@ -8,7 +8,7 @@ use vergence_time::Timestamp;
 use crate::Connection;
 use crate::convert;
 use crate::error::{Error, In};
-use crate::tap::{Ear, raw_location};
+use crate::tap::{Call, Ear, raw_location};
 
 /// Trackers of both hands.
 pub(crate) struct Hands {
@@ -43,7 +43,7 @@ impl Hands {
         for (hand, (tracker, joints)) in
             Hand::BOTH.into_iter().zip(self.trackers.iter().zip(&mut self.joints))
         {
-            let located = local.locate_hand_joints(tracker, time).during("xrLocateHandJointsEXT")?;
+            let located = ear.answer(Call::LocateHandJoints, local.locate_hand_joints(tracker, time))?;
             ear.hear(|| Said::Joints { hand, at, joints: raw_joints(located.as_ref()) });
             *joints = located.map(|located| {
                 HandJoints(located.map(|joint| JointPose {

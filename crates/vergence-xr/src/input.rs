@@ -9,7 +9,7 @@ use crate::Connection;
 use crate::convert;
 use crate::error::{Error, In};
 use crate::list::list;
-use crate::tap::{Ear, raw_location};
+use crate::tap::{Call, Ear, raw_location};
 
 type Session = openxr::Session<openxr::Vulkan>;
 
@@ -34,6 +34,13 @@ enum Handle {
     Axis(openxr::Action<f32>),
     Vector2(openxr::Action<openxr::Vector2f>),
     Haptic(openxr::Action<openxr::Haptic>),
+}
+
+/// What is read, for which instant, and who hears of it.
+struct Heard<'a> {
+    body: Body,
+    at: Timestamp,
+    ear: &'a mut Ear,
 }
 
 /// The actions of a session, attached to it.
@@ -117,16 +124,14 @@ impl Input {
         at: Timestamp,
         ear: &mut Ear,
     ) -> Result<(), Error> {
-        session.sync_actions(&[openxr::ActiveActionSet::new(&self.set)]).during("xrSyncActions")?;
+        ear.answer(Call::SyncActions, session.sync_actions(&[openxr::ActiveActionSet::new(&self.set)]))?;
         let time = openxr::Time::from_nanos(at.as_nanos());
         for (action, (handle, readings)) in self.handles.iter().zip(&mut self.readings).enumerate() {
             for (hand, reading) in Hand::BOTH.into_iter().zip(readings) {
                 let path = self.hands[hand.index()];
                 let action = action as u16;
-                *reading = handle.read(session, local, path, hand.index(), time, |pose, flags| {
-                    let location = raw_location(flags, pose);
-                    ear.hear(|| Said::Place { of: Body::Action(action, hand), at, location });
-                })?;
+                let heard = Heard { body: Body::Action(action, hand), at, ear: &mut *ear };
+                *reading = handle.read(session, local, path, hand.index(), time, heard)?;
                 let state = match *reading {
                     Reading::Button(button) => ControlState::Button(button),
                     Reading::Axis(axis) => ControlState::Axis(axis),
@@ -137,8 +142,9 @@ impl Input {
             }
         }
         if let Some((action, space)) = &self.gaze {
-            self.gaze_pose = if action.is_active(session, Path::NULL).during("xrGetActionStatePose")? {
-                let located = space.locate(local, time).during("xrLocateSpace")?;
+            let is_active = ear.answer(Call::GetActionStatePose, action.is_active(session, Path::NULL))?;
+            self.gaze_pose = if is_active {
+                let located = ear.answer(Call::LocateSpace, space.locate(local, time))?;
                 let location = raw_location(located.location_flags, &located.pose);
                 ear.hear(|| Said::Place { of: Body::Gaze, at, location });
                 convert::pose(located.location_flags, &located.pose)
@@ -175,6 +181,7 @@ impl Input {
         action: usize,
         hand: Hand,
         haptic: &Haptic,
+        ear: &mut Ear,
     ) -> Result<(), Error> {
         let Some(Handle::Haptic(action)) = self.handles.get(action) else { return Ok(()) };
         let duration = haptic
@@ -184,7 +191,8 @@ impl Input {
             .duration(duration)
             .frequency(haptic.frequency_hz.unwrap_or(openxr::FREQUENCY_UNSPECIFIED))
             .amplitude(haptic.amplitude.clamp(0.0, 1.0));
-        action.apply_feedback(session, self.hands[hand.index()], &vibration).during("xrApplyHapticFeedback")
+        let applied = action.apply_feedback(session, self.hands[hand.index()], &vibration);
+        ear.answer(Call::ApplyHapticFeedback, applied)
     }
 
     /// Which device a hand holds now, for people.
@@ -295,28 +303,30 @@ impl Handle {
         hand: Path,
         hand_index: usize,
         time: openxr::Time,
-        located: impl FnOnce(&Posef, openxr::SpaceLocationFlags),
+        heard: Heard<'_>,
     ) -> Result<Reading, Error> {
+        let Heard { body, at, ear } = heard;
         Ok(match self {
             Self::Pose(action, spaces) => {
-                if action.is_active(session, hand).during("xrGetActionStatePose")? {
-                    let place = spaces[hand_index].locate(local, time).during("xrLocateSpace")?;
-                    located(&place.pose, place.location_flags);
+                if ear.answer(Call::GetActionStatePose, action.is_active(session, hand))? {
+                    let place = ear.answer(Call::LocateSpace, spaces[hand_index].locate(local, time))?;
+                    let location = raw_location(place.location_flags, &place.pose);
+                    ear.hear(|| Said::Place { of: body, at, location });
                     Reading::Pose(convert::pose(place.location_flags, &place.pose))
                 } else {
                     self.nothing()
                 }
             }
             Self::Button(action) => {
-                let state = action.state(session, hand).during("xrGetActionStateBoolean")?;
+                let state = ear.answer(Call::GetActionStateBoolean, action.state(session, hand))?;
                 Reading::Button(Button(state.is_active.then_some(state.current_state)))
             }
             Self::Axis(action) => {
-                let state = action.state(session, hand).during("xrGetActionStateFloat")?;
+                let state = ear.answer(Call::GetActionStateFloat, action.state(session, hand))?;
                 Reading::Axis(Axis(state.is_active.then_some(state.current_state)))
             }
             Self::Vector2(action) => {
-                let state = action.state(session, hand).during("xrGetActionStateVector2f")?;
+                let state = ear.answer(Call::GetActionStateVector2f, action.state(session, hand))?;
                 let value = [state.current_state.x, state.current_state.y];
                 Reading::Vector2(Vector2(state.is_active.then_some(value)))
             }

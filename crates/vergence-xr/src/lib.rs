@@ -55,6 +55,6 @@ pub use input::Reading;
 pub use located::{Located, in_world};
 pub use opening::Pictures;
 pub use state::State;
-pub use tap::Tap;
+pub use tap::{HEARD_CALLS, Tap};
 pub use time_guard::{Prediction, TimeFault, TimeGuard};
 pub use vulkan::Creator;

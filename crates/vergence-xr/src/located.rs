@@ -6,8 +6,8 @@ use vergence_sense::{Said, Tracking};
 use vergence_time::Timestamp;
 
 use crate::convert;
-use crate::error::{Error, check};
-use crate::tap::{Ear, raw_views};
+use crate::error::Error;
+use crate::tap::{Call, Ear, raw_views};
 
 /// The eyes of one instant, in LOCAL space, together with what the runtime said, bit for bit.
 #[derive(Clone, Copy, Debug)]
@@ -96,7 +96,7 @@ impl Viewpoints {
                 views.as_mut_ptr(),
             )
         };
-        check("xrLocateViews", result)?;
+        ear.check(Call::LocateViews, result)?;
         ear.hear(|| Said::Views {
             at: time,
             views: raw_views(state.view_state_flags, views.iter().take(self.count).map(|v| (v.pose, v.fov))),

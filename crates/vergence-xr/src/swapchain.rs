@@ -8,8 +8,9 @@ use vergence_gpu::{
     vk::{self, Handle},
 };
 
-use crate::error::{Error, In, check};
+use crate::error::{Error, In};
 use crate::list::list;
+use crate::tap::{Call, Ear};
 
 /// How long to wait for an image that the compositor still reads.
 const PATIENCE_NS: i64 = 2_000_000_000;
@@ -113,7 +114,7 @@ impl Swapchain {
 
     /// An image to draw into, once the compositor has let go of it; `None` where it does not in time. Until its release it
     /// is always the same image, however often it is asked for: a compositor has few.
-    pub(crate) fn acquire(&mut self) -> Result<Option<&Arc<ImageView>>, Error> {
+    pub(crate) fn acquire(&mut self, ear: &mut Ear) -> Result<Option<&Arc<ImageView>>, Error> {
         let held = match self.held {
             // The frame before ended between acquire and release: the image is still ours.
             Some(held) => held,
@@ -127,7 +128,7 @@ impl Swapchain {
                         &mut index,
                     )
                 };
-                check("xrAcquireSwapchainImage", result)?;
+                ear.check(Call::AcquireSwapchainImage, result)?;
                 *self.held.insert(Held { index, waited: false })
             }
         };
@@ -139,7 +140,7 @@ impl Swapchain {
             };
             // SAFETY: the swapchain lives and has an image that is acquired and not waited for.
             let result = unsafe { (self.instance.fp().wait_swapchain_image)(self.raw.as_raw(), &info) };
-            if check("xrWaitSwapchainImage", result)? == sys::Result::TIMEOUT_EXPIRED {
+            if ear.check(Call::WaitSwapchainImage, result)? == sys::Result::TIMEOUT_EXPIRED {
                 log::warn!("the compositor keeps image {} for longer than 2 s", held.index);
                 return Ok(None);
             }
@@ -154,14 +155,14 @@ impl Swapchain {
     }
 
     /// Gives the image to the compositor; one that it has not let go of stays held.
-    pub(crate) fn release(&mut self) -> Result<(), Error> {
+    pub(crate) fn release(&mut self, ear: &mut Ear) -> Result<(), Error> {
         if !self.held.is_some_and(|held| held.waited) {
             return Ok(());
         }
         // SAFETY: the swapchain lives and has an image that is acquired and waited for; null info is allowed.
         let result =
             unsafe { (self.instance.fp().release_swapchain_image)(self.raw.as_raw(), std::ptr::null()) };
-        check("xrReleaseSwapchainImage", result)?;
+        ear.check(Call::ReleaseSwapchainImage, result)?;
         // One that the runtime did not take back is still ours.
         self.held = None;
         Ok(())

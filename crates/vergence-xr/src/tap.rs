@@ -2,8 +2,10 @@
 
 use std::any::Any;
 
-use openxr::{Fovf, Posef, SpaceLocationFlags, ViewStateFlags};
-use vergence_sense::{RawLocation, RawPose, RawView, RawViews, Said, Validity};
+use openxr::{Fovf, Posef, SpaceLocationFlags, ViewStateFlags, sys};
+use vergence_sense::{CallResult, RawLocation, RawPose, RawView, RawViews, Said, Validity};
+
+use crate::error::{Error, In, check};
 
 /// Hears what a session's calls say, in their order, on the thread of the frame loop. Must neither wait nor fail: what it
 /// cannot keep it drops and counts.
@@ -12,14 +14,118 @@ pub trait Tap: Any + Send {
     fn hear(&mut self, said: &Said);
 }
 
+/// The calls of a running session: each that does not simply succeed is heard. Those that make and end one are not.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Call {
+    PollEvent,
+    BeginSession,
+    EndSession,
+    RequestExitSession,
+    WaitFrame,
+    BeginFrame,
+    EndFrame,
+    ConvertTimespecTimeToTime,
+    LocateViews,
+    LocateSpace,
+    LocateHandJoints,
+    SyncActions,
+    GetActionStateBoolean,
+    GetActionStateFloat,
+    GetActionStateVector2f,
+    GetActionStatePose,
+    ApplyHapticFeedback,
+    AcquireSwapchainImage,
+    WaitSwapchainImage,
+    ReleaseSwapchainImage,
+}
+
+/// The names of the calls whose results a tap hears ([`Said::Result`]), in the order of [`Call`].
+pub const HEARD_CALLS: [&str; 20] = [
+    "xrPollEvent",
+    "xrBeginSession",
+    "xrEndSession",
+    "xrRequestExitSession",
+    "xrWaitFrame",
+    "xrBeginFrame",
+    "xrEndFrame",
+    "xrConvertTimespecTimeToTimeKHR",
+    "xrLocateViews",
+    "xrLocateSpace",
+    "xrLocateHandJointsEXT",
+    "xrSyncActions",
+    "xrGetActionStateBoolean",
+    "xrGetActionStateFloat",
+    "xrGetActionStateVector2f",
+    "xrGetActionStatePose",
+    "xrApplyHapticFeedback",
+    "xrAcquireSwapchainImage",
+    "xrWaitSwapchainImage",
+    "xrReleaseSwapchainImage",
+];
+
+impl Call {
+    pub(crate) const fn name(self) -> &'static str {
+        HEARD_CALLS[self as usize]
+    }
+}
+
 /// Where a tap may be; costs a test where there is none.
 #[derive(Default)]
-pub(crate) struct Ear(pub(crate) Option<Box<dyn Tap>>);
+pub(crate) struct Ear {
+    pub(crate) tap: Option<Box<dyn Tap>>,
+    /// Calls since the last frame was waited for.
+    counts: [u32; HEARD_CALLS.len()],
+    /// A frame was waited for and not yet handed over.
+    in_frame: bool,
+}
 
 impl Ear {
+    pub(crate) fn of(tap: Box<dyn Tap>) -> Self {
+        Self { tap: Some(tap), ..Self::default() }
+    }
+
     pub(crate) fn hear(&mut self, said: impl FnOnce() -> Said) {
-        if let Some(tap) = &mut self.0 {
-            tap.hear(&said());
+        if let Some(tap) = &mut self.tap {
+            let said = said();
+            match said {
+                Said::Frame { .. } => self.in_frame = true,
+                Said::Submitted { .. } => self.in_frame = false,
+                _ => {}
+            }
+            tap.hear(&said);
+        }
+    }
+
+    /// From here on calls are counted anew: a frame was waited for.
+    pub(crate) fn next_frame(&mut self) {
+        self.counts = [0; HEARD_CALLS.len()];
+    }
+
+    /// The answer of a call, which is heard where it failed.
+    pub(crate) fn answer<T>(&mut self, call: Call, answer: Result<T, sys::Result>) -> Result<T, Error> {
+        let failed = answer.as_ref().err().copied();
+        self.count(call, failed);
+        answer.during(call.name())
+    }
+
+    /// The answer of a raw call, which is heard where it is anything but success: a success, also a qualified one.
+    pub(crate) fn check(&mut self, call: Call, result: sys::Result) -> Result<sys::Result, Error> {
+        self.count(call, Some(result).filter(|result| *result != sys::Result::SUCCESS));
+        check(call.name(), result)
+    }
+
+    fn count(&mut self, call: Call, result: Option<sys::Result>) {
+        let Some(tap) = &mut self.tap else { return };
+        let nth = &mut self.counts[call as usize];
+        *nth = nth.saturating_add(1);
+        if let Some(result) = result {
+            tap.hear(&Said::Result(CallResult {
+                call: call.name().into(),
+                nth: *nth,
+                in_frame: self.in_frame,
+                code: result.into_raw(),
+                result: format!("{result:?}").into(),
+            }));
         }
     }
 }

@@ -55,11 +55,26 @@ impl std::fmt::Display for TimeFault {
     }
 }
 
+/// What the clocks read when a frame was waited for.
+#[derive(Clone, Copy, Debug)]
+struct Clocks {
+    host: Timestamp,
+    runtime: Option<Timestamp>,
+}
+
+impl Clocks {
+    /// The time since `then`, by the runtime's clock where it can be read: that is the one which a recording has.
+    fn since(&self, then: &Self) -> Span {
+        let by_runtime = self.runtime.zip(then.runtime).and_then(|(now, then)| now.since(then));
+        by_runtime.or_else(|| self.host.since(then.host)).unwrap_or(Span::ZERO)
+    }
+}
+
 /// Checks what a runtime predicts against what is possible. One per session.
 #[derive(Debug)]
 pub struct TimeGuard {
-    /// The last frame: its display time, and the host's clock then.
-    last: Option<(Timestamp, Timestamp)>,
+    /// The last frame: its display time, and what the clocks read then.
+    last: Option<(Timestamp, Clocks)>,
     /// What the runtime said of the last frame, believed or not.
     last_raw: Option<Timestamp>,
     /// Times replaced in a row that ran on steadily.
@@ -86,14 +101,15 @@ impl TimeGuard {
         host_now: Timestamp,
         runtime_now: Option<Timestamp>,
     ) -> Prediction {
+        let clocks = Clocks { host: host_now, runtime: runtime_now };
         let mut fault = None;
         if (SHORTEST_PERIOD..=LONGEST_PERIOD).contains(&period) {
             self.period = period;
         } else {
             fault = Some(TimeFault::Period(period));
         }
-        let mut time_fault = self.fault_of(display, host_now, runtime_now);
-        let is_steady = time_fault.is_some() && self.runs_on(display, host_now, runtime_now);
+        let mut time_fault = self.fault_of(display, &clocks);
+        let is_steady = time_fault.is_some() && self.runs_on(display, &clocks);
         self.steady = if is_steady { self.steady + 1 } else { 0 };
         // Our base was wrong, not the runtime: every right time would be a fault for ever.
         let rebased = self.steady >= STEADY_FAULTS;
@@ -103,58 +119,51 @@ impl TimeGuard {
         }
         let guarded = match time_fault {
             None => display,
-            Some(_) => self.own_prediction(host_now, runtime_now),
+            Some(_) => self.own_prediction(&clocks),
         };
-        self.last = Some((guarded, host_now));
+        self.last = Some((guarded, clocks));
         self.last_raw = Some(display);
         Prediction { display: guarded, period: self.period, fault: time_fault.or(fault), rebased }
     }
 
     /// Whether a time is possible by itself and follows what the runtime said before as frames do.
-    fn runs_on(&self, display: Timestamp, host_now: Timestamp, runtime_now: Option<Timestamp>) -> bool {
+    fn runs_on(&self, display: Timestamp, clocks: &Clocks) -> bool {
         let is_far = |now| display.since(now).is_none_or(|lead| lead > LONGEST_LEAD);
-        if display.as_nanos() <= 0 || runtime_now.is_some_and(is_far) {
+        if display.as_nanos() <= 0 || clocks.runtime.is_some_and(is_far) {
             return false;
         }
         let Some(step) = self.last_raw.and_then(|before| display.since(before)) else { return false };
-        let passed = self.last.and_then(|(_, host_then)| host_now.since(host_then)).unwrap_or(Span::ZERO);
+        let passed = self.last.map_or(Span::ZERO, |(_, then)| clocks.since(&then));
         // Half a period to two; a frame that took longer may be followed by as much more.
         let longest = self.period.max(passed).as_nanos().saturating_mul(2);
         (self.period.as_nanos() / 2..=longest).contains(&step.as_nanos())
     }
 
-    fn fault_of(
-        &self,
-        display: Timestamp,
-        host_now: Timestamp,
-        runtime_now: Option<Timestamp>,
-    ) -> Option<TimeFault> {
+    fn fault_of(&self, display: Timestamp, clocks: &Clocks) -> Option<TimeFault> {
         if display.as_nanos() <= 0 {
             return Some(TimeFault::NotPositive(display));
         }
         let leads = |earlier: Timestamp, allowed: Span| {
             display.since(earlier).is_none_or(|lead| lead.as_nanos() > allowed.as_nanos())
         };
-        if runtime_now.is_some_and(|now| leads(now, LONGEST_LEAD)) {
+        if clocks.runtime.is_some_and(|now| leads(now, LONGEST_LEAD)) {
             return Some(TimeFault::FarFuture(display));
         }
-        let (last, host_then) = self.last?;
+        let (last, then) = self.last?;
         if display <= last {
             return Some(TimeFault::NotLater(display));
         }
-        let passed = host_now.since(host_then).unwrap_or(Span::ZERO);
-        let allowed = Span::from_nanos(LONGEST_LEAD.as_nanos().saturating_add(passed.as_nanos()));
-        (runtime_now.is_none() && leads(last, allowed)).then_some(TimeFault::FarFuture(display))
+        let allowed =
+            Span::from_nanos(LONGEST_LEAD.as_nanos().saturating_add(clocks.since(&then).as_nanos()));
+        (clocks.runtime.is_none() && leads(last, allowed)).then_some(TimeFault::FarFuture(display))
     }
 
     /// The frame before, plus the time that has passed but at least one period.
-    fn own_prediction(&self, host_now: Timestamp, runtime_now: Option<Timestamp>) -> Timestamp {
+    fn own_prediction(&self, clocks: &Clocks) -> Timestamp {
         match self.last {
-            Some((last, host_then)) => {
-                let passed = host_now.since(host_then).unwrap_or(Span::ZERO);
-                last.saturating_add(passed.max(self.period))
-            }
-            None => runtime_now
+            Some((last, then)) => last.saturating_add(clocks.since(&then).max(self.period)),
+            None => clocks
+                .runtime
                 .filter(|now| now.as_nanos() > 0)
                 .unwrap_or(Timestamp::from_nanos(1))
                 .saturating_add(self.period),

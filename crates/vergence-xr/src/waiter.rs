@@ -13,7 +13,7 @@ use crate::error::Error;
 
 const CALL: &str = "xrWaitFrame";
 
-type Answer = Result<openxr::FrameState, sys::Result>;
+pub(crate) type Answer = Result<openxr::FrameState, sys::Result>;
 
 /// Waits for frames. Question and answer go through channels of one place each, which allocate nothing.
 pub(crate) struct Waiter {
@@ -46,9 +46,11 @@ impl Waiter {
         Ok(Self { ask: Some(ask), answers, thread: Some(thread), patience })
     }
 
+    /// What the runtime answers.
+    ///
     /// # Errors
-    /// What the runtime answers; [`Error::Hung`] where it does not answer in time, and from then on.
-    pub(crate) fn wait(&mut self) -> Result<openxr::FrameState, Error> {
+    /// [`Error::Hung`] where it does not answer in time, and from then on.
+    pub(crate) fn wait(&mut self) -> Result<Answer, Error> {
         let hung = Error::Hung { call: CALL, waited_s: self.patience.as_secs_f64() };
         let Some(ask) = &self.ask else { return Err(hung) };
         let answer = match ask.send(()) {
@@ -56,7 +58,7 @@ impl Waiter {
             Err(_) => Err(RecvTimeoutError::Disconnected),
         };
         match answer {
-            Ok(answer) => answer.map_err(|result| Error::of(CALL, result)),
+            Ok(answer) => Ok(answer),
             Err(_) => {
                 self.ask = None;
                 // It is in the call for ever, and keeps the session with it.

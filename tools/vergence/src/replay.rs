@@ -113,6 +113,14 @@ impl Args {
         if report.run.paced == 0 {
             return Err(Failure::Work("the recording holds no frame: nothing was replayed".into()));
         }
+        if let (Some(damage), true) = (&report.damage, report.comparison.is_equal()) {
+            return Err(Failure::Work(format!(
+                "the recording is damaged, and was replayed up to there: {damage}"
+            )));
+        }
+        if let (Some(failure), false) = (&report.failure, self.verify) {
+            return Err(Failure::Work(format!("the replay failed, as the recorded run may have: {failure}")));
+        }
         match (&report.comparison.first_difference, report.run.validation_messages) {
             (Some(difference), _) => {
                 Err(Failure::Work(format!("the replay differs from the recording: {difference}")))

@@ -1,8 +1,8 @@
-//! Events, frame times, hashes of pictures.
+//! Events, results of calls, frame times, hashes of pictures.
 
 use std::borrow::Cow;
 
-use vergence_sense::{Event, FrameHash, FrameTiming, Sample};
+use vergence_sense::{CallResult, Event, FrameHash, FrameTiming, Sample};
 use vergence_time::{Span, Timestamp};
 
 use super::{ARRIVED_NS, CAPTURED_NS, Gathered, put_times};
@@ -73,11 +73,19 @@ impl Message for FrameTiming {
             Field::one("begun_ns", 5, Kind::Sfixed64, "we began"),
             Field::one("submitted", 6, Kind::Bool, "a picture was handed over"),
             Field::one("submitted_ns", 7, Kind::Sfixed64, "when"),
-            Field::one("predicted_display_ns", 8, Kind::Sfixed64, "when the runtime expects it to be seen"),
-            Field::one("predicted_period_ns", 9, Kind::Sfixed64, "time between frames, as the runtime says"),
+            Field::one("predicted_display_ns", 8, Kind::Sfixed64, "when it is expected to be seen"),
+            Field::one("predicted_period_ns", 9, Kind::Sfixed64, "time between frames"),
             Field::one("should_render", 10, Kind::Bool, "the runtime wants a picture"),
             Field::one("presented", 11, Kind::Bool, "the runtime told when it was seen"),
             Field::one("presented_ns", 12, Kind::Sfixed64, "when it was seen"),
+            Field::one(
+                "raw_display_ns",
+                13,
+                Kind::Sfixed64,
+                "what the runtime gave for predicted_display_ns",
+            ),
+            Field::one("raw_period_ns", 14, Kind::Sfixed64, "what the runtime gave for predicted_period_ns"),
+            Field::one("abandoned", 15, Kind::Bool, "the session was lost or given up in this frame"),
         ],
     };
 
@@ -93,6 +101,9 @@ impl Message for FrameTiming {
         out.bool(10, self.should_render);
         out.bool(11, self.presented.is_some());
         out.sfixed64(12, self.presented.unwrap_or_default().as_nanos());
+        out.sfixed64(13, self.raw_display.as_nanos());
+        out.sfixed64(14, self.raw_period.as_nanos());
+        out.bool(15, !self.ended);
     }
 
     fn decode(bytes: &[u8]) -> Result<Sample<Self>, WireError> {
@@ -107,7 +118,12 @@ impl Message for FrameTiming {
             predicted_period: Span::ZERO,
             should_render: false,
             presented: None,
+            raw_display: start,
+            raw_period: Span::ZERO,
+            ended: true,
         };
+        // Logs of earlier versions lack them.
+        let (mut raw_display, mut raw_period) = (None, None);
         let (mut has_submitted, mut submitted, mut has_presented, mut presented) =
             (false, start, false, start);
         Decoder::new(bytes).each(|number, value| {
@@ -123,13 +139,63 @@ impl Message for FrameTiming {
                 10 => timing.should_render = value.bool()?,
                 11 => has_presented = value.bool()?,
                 12 => presented = instant()?,
+                13 => raw_display = Some(instant()?),
+                14 => raw_period = Some(Span::from_nanos(value.sfixed64()?)),
+                15 => timing.ended = !value.bool()?,
                 _ => drop(times.take(number, value)?),
             }
             Ok(())
         })?;
         timing.submitted = has_submitted.then_some(submitted);
         timing.presented = has_presented.then_some(presented);
+        timing.raw_display = raw_display.unwrap_or(timing.predicted_display);
+        timing.raw_period = raw_period.unwrap_or(timing.predicted_period);
         Ok(times.sample(timing))
+    }
+}
+
+impl Message for CallResult {
+    const NAME: &'static str = "CallResult";
+    const UNIT: &'static str = "";
+    const SCHEMA: &'static Schema = &Schema {
+        name: "vergence.CallResult",
+        about: "A call of the session that failed, or whose success was a qualified one.",
+        fields: &[
+            CAPTURED_NS,
+            ARRIVED_NS,
+            Field::one("call", 3, Kind::String, "the entry point: xrLocateViews"),
+            Field::one("nth", 4, Kind::Uint32, "its number since the last frame was waited for, from 1"),
+            Field::one("in_frame", 5, Kind::Bool, "for a frame that was waited for and not yet handed over"),
+            Field::one("code", 6, Kind::Int32, "as OpenXR counts results"),
+            Field::one("result", 7, Kind::String, "the same in words: ERROR_SESSION_LOST"),
+        ],
+    };
+
+    fn encode(&self, times: Times, _frame: &str, out: &mut Encoder<'_>) {
+        put_times(times, out);
+        out.text(3, &self.call);
+        out.uint(4, u64::from(self.nth));
+        out.bool(5, self.in_frame);
+        out.int(6, i64::from(self.code));
+        out.text(7, &self.result);
+    }
+
+    fn decode(bytes: &[u8]) -> Result<Sample<Self>, WireError> {
+        let mut times = Gathered::default();
+        let empty = Cow::Borrowed("");
+        let mut found = Self { call: empty.clone(), nth: 0, in_frame: false, code: 0, result: empty };
+        Decoder::new(bytes).each(|number, value| {
+            match number {
+                3 => found.call = Cow::Owned(value.text()?.to_owned()),
+                4 => found.nth = u32::try_from(value.uint()?).unwrap_or(u32::MAX),
+                5 => found.in_frame = value.bool()?,
+                6 => found.code = i32::try_from(value.int()?).unwrap_or(i32::MIN),
+                7 => found.result = Cow::Owned(value.text()?.to_owned()),
+                _ => drop(times.take(number, value)?),
+            }
+            Ok(())
+        })?;
+        Ok(times.sample(found))
     }
 }
 

@@ -166,6 +166,11 @@ impl Fault {
         Ok(Self { entry_point, effect, first, last })
     }
 
+    /// Of which entry point it is.
+    pub const fn entry_point(&self) -> &'static str {
+        self.entry_point
+    }
+
     fn holds(&self, entry_point: &str, call: u64) -> bool {
         self.entry_point == entry_point && (self.first..=self.last).contains(&call)
     }

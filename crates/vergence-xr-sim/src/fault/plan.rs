@@ -56,6 +56,11 @@ impl FaultPlan {
         self.0.as_ref().is_none_or(|watched| watched.faults.is_empty())
     }
 
+    /// What is planned.
+    pub fn faults(&self) -> &[Fault] {
+        self.0.as_ref().map_or(&[], |watched| &watched.faults)
+    }
+
     /// How often each entry point was called.
     pub fn calls(&self) -> BTreeMap<&'static str, u64> {
         self.0.as_ref().map(|watched| watched.done().calls.clone()).unwrap_or_default()

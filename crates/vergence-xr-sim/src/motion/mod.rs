@@ -16,8 +16,8 @@ use vergence_time::Timestamp;
 use crate::Error;
 
 pub use file::{BUILT_IN_MOTIONS, Motion};
-pub(crate) use replay::Next;
-pub use replay::{EXIT_REQUESTED, Replay, SESSION_BEGINS};
+pub use replay::{EXIT_REQUESTED, RUN_ENDED, Replay, SESSION_BEGINS};
+pub(crate) use replay::{Next, result_of};
 pub use script::{Part, Script};
 pub use still::Still;
 pub use trajectory::{AtEnd, Gaps, Sample, Trajectory};

@@ -694,6 +694,8 @@ mod tests {
                     display: at(5000 + ms),
                     period: Span::from_millis(10),
                     should_render: true,
+                    raw_display: at(5000 + ms),
+                    raw_period: Span::from_millis(10),
                 },
                 place(vergence_sense::Body::Head, x),
                 place(vergence_sense::Body::Head, 9.0),
