@@ -168,6 +168,9 @@ impl Recorder {
             file: file.to_owned(),
             done,
         });
+        if let Some(thread) = &self.thread {
+            thread.thread().unpark();
+        }
         // A writer that is gone answers no more.
         let _ = attached.recv();
     }
