@@ -1,0 +1,141 @@
+//! EuRoC's ASL folders: `mav0/cam*/{sensor.yaml,data.csv,data/}`, `imu0`, `state_groundtruth_estimate0`.
+
+use std::path::{Path, PathBuf};
+
+use vergence_inertial::Recording;
+use vergence_inertial::preintegrate::NoiseDensities;
+use vergence_time::Timestamp;
+
+use super::calibration::Sheet;
+use super::{Dataset, FrameFiles, InertialRecording, check_there};
+use crate::trajectory::{Trajectory, read_text};
+use crate::{Error, Inertial};
+
+pub(super) fn open(folder: &Path, rig: &Path) -> Result<Dataset, Error> {
+    let mut cameras = Vec::new();
+    let mut tables = Vec::new();
+    for index in 0.. {
+        let place = rig.join(format!("cam{index}"));
+        if !place.is_dir() {
+            break;
+        }
+        cameras.push(Sheet::read(&place.join("sensor.yaml"))?.camera()?);
+        tables.push(pictures(&place)?);
+    }
+    let place = rig.join("imu0");
+    let mut truth = read_truth(folder, rig)?;
+    let mut inertial = None;
+    if place.is_dir() {
+        let sheet_path = place.join("sensor.yaml");
+        let sheet = Sheet::read(&sheet_path)?;
+        let body_from_imu = sheet.body_from_sensor()?;
+        for camera in &mut cameras {
+            camera.body_from_camera = body_from_imu.inverse() * camera.body_from_camera;
+        }
+        for (_, pose) in truth.iter_mut().flat_map(|truth| &mut truth.poses) {
+            *pose *= body_from_imu;
+        }
+        let unit = Inertial {
+            noise: NoiseDensities {
+                gyr_rad_s_rthz: sheet.positive("gyroscope_noise_density")?,
+                acc_m_s2_rthz: sheet.positive("accelerometer_noise_density")?,
+            },
+            gyr_walk: sheet.positive("gyroscope_random_walk")?,
+            acc_walk: sheet.positive("accelerometer_random_walk")?,
+            ..Inertial::EUROC
+        };
+        inertial = Some(InertialRecording {
+            unit,
+            rate_hz: sheet.positive("rate_hz")?,
+            samples: Recording::read(&place)?.samples,
+        });
+    }
+    let (frames, unpaired) = pair(&tables);
+    if frames.is_empty() {
+        let times: Vec<String> = tables.iter().map(|table| format!("{} pictures", table.len())).collect();
+        return Err(Error::file(
+            rig,
+            "cameras with pictures at the same times",
+            format!("{} and none in common", times.join(", ")),
+        ));
+    }
+    Ok(Dataset { root: folder.to_owned(), cameras, inertial, frames, truth, unpaired })
+}
+
+/// `data.csv` of a camera: when, and which file.
+fn pictures(place: &Path) -> Result<Vec<(Timestamp, PathBuf)>, Error> {
+    let path = place.join("data.csv");
+    let text = read_text(&path)?;
+    let mut all: Vec<(Timestamp, PathBuf)> = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let wrong = |column: usize, expected: String, found: &str| {
+            let found: String = found.chars().take(60).collect();
+            Error::content(&path, (index + 1, column), expected, found)
+        };
+        let (time, name) = line.split_once(',').unwrap_or((line, ""));
+        let (time, name) = (time.trim(), name.trim());
+        let nanos: i64 = time.parse().map_err(|_| wrong(1, "whole nanoseconds".to_owned(), time))?;
+        let outside =
+            Path::new(name).components().any(|part| !matches!(part, std::path::Component::Normal(_)));
+        if name.is_empty() || outside {
+            return Err(wrong(2, "the name of a picture in data/".to_owned(), name));
+        }
+        let at = Timestamp::from_nanos(nanos);
+        match all.last() {
+            Some((last, _)) if at == *last => {
+                return Err(wrong(1, "each time once".to_owned(), &format!("{nanos} ns a second time")));
+            }
+            Some((last, _)) if at < *last => {
+                let expected = format!("times that grow (after {} ns)", last.as_nanos());
+                return Err(wrong(1, expected, &format!("{nanos} ns")));
+            }
+            _ => {}
+        }
+        let picture = place.join("data").join(name);
+        check_there(&picture)?;
+        all.push((at, picture));
+    }
+    if all.is_empty() {
+        return Err(Error::file(&path, "pictures", "none"));
+    }
+    Ok(all)
+}
+
+/// Frames at the times that all cameras have, and how many pictures stay alone.
+fn pair(tables: &[Vec<(Timestamp, PathBuf)>]) -> (Vec<FrameFiles>, usize) {
+    let Some((first, others)) = tables.split_first() else { return (Vec::new(), 0) };
+    let mut frames = Vec::with_capacity(first.len());
+    for (at, picture) in first {
+        let partner = |table: &Vec<(Timestamp, PathBuf)>| {
+            let found = table.binary_search_by(|row| row.0.cmp(at)).ok()?;
+            Some(table[found].1.clone())
+        };
+        if let Some(rest) = others.iter().map(partner).collect::<Option<Vec<_>>>() {
+            let pictures = std::iter::once(picture.clone()).chain(rest).collect();
+            frames.push(FrameFiles { at: *at, pictures, depth: None });
+        }
+    }
+    let unpaired = tables.iter().map(|table| table.len() - frames.len()).sum();
+    (frames, unpaired)
+}
+
+fn read_truth(folder: &Path, rig: &Path) -> Result<Option<Trajectory>, Error> {
+    let table = rig.join("state_groundtruth_estimate0").join("data.csv");
+    if table.is_file() {
+        return Trajectory::read(&table).map(Some);
+    }
+    let mut beside: Vec<PathBuf> = std::fs::read_dir(folder)
+        .map_err(Error::read(folder))?
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| {
+            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            name.starts_with("gt") && name.ends_with(".txt") || name == "truth.tum"
+        })
+        .collect();
+    beside.sort();
+    beside.first().map(|path| Trajectory::read(path)).transpose()
+}

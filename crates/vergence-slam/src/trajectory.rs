@@ -1,0 +1,219 @@
+//! Poses over time, and the text files that hold them.
+
+use std::io::Write;
+use std::path::Path;
+
+use nalgebra::{Quaternion, UnitQuaternion};
+use vergence_geom::{Rigid, components};
+use vergence_time::{Span, Timestamp};
+
+use crate::Error;
+
+/// Largest text file that is read, bytes.
+pub(crate) const MOST_BYTES: u64 = 1 << 30;
+
+/// Poses of one body, each later than the one before: `world_from_body`, metres. The world is the file's own (EuRoC and TUM: z up).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Trajectory {
+    /// When, and where.
+    pub poses: Vec<(Timestamp, Rigid)>,
+}
+
+pub(crate) fn read_text(path: &Path) -> Result<String, Error> {
+    let bytes = std::fs::metadata(path).map_err(Error::read(path))?.len();
+    if bytes > MOST_BYTES {
+        return Err(Error::file(path, format!("at most {MOST_BYTES} bytes"), bytes.to_string()));
+    }
+    if bytes == 0 {
+        return Err(Error::file(path, "a file with something in it", "0 bytes"));
+    }
+    std::fs::read_to_string(path).map_err(Error::read(path))
+}
+
+/// Seconds as text to nanoseconds, digit by digit: a float has too few for times since 1970.
+fn seconds(text: &str) -> Option<Timestamp> {
+    let (negative, digits) = text.strip_prefix('-').map_or((false, text), |rest| (true, rest));
+    let (whole, part) = digits.split_once('.').unwrap_or((digits, ""));
+    let plain = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+    if !plain(whole) || !plain(part) || whole.is_empty() {
+        let span = Span::from_secs_f64(text.parse().ok()?)?;
+        return Some(Timestamp::from_nanos(span.as_nanos()));
+    }
+    let mut nanos = whole.parse::<i64>().ok()?.checked_mul(1_000_000_000)?;
+    let mut unit = 100_000_000;
+    for digit in part.bytes().take(9) {
+        nanos = nanos.checked_add(i64::from(digit - b'0') * unit)?;
+        unit /= 10;
+    }
+    if part.as_bytes().get(9).is_some_and(|digit| *digit >= b'5') {
+        nanos = nanos.checked_add(1)?;
+    }
+    Some(Timestamp::from_nanos(if negative { -nanos } else { nanos }))
+}
+
+impl Trajectory {
+    /// Reads TUM's format (`t x y z qx qy qz qw` with spaces, seconds) or EuRoC's truth (`#timestamp,…` with commas, nanoseconds, then
+    /// position and quaternion w x y z); `#` begins a comment.
+    ///
+    /// # Errors
+    /// File, line and word of the first fault: a number that is none, too few or too many, time that does not grow, a quaternion
+    /// that is not of unit length; no poses.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        Self::parse(&read_text(path)?, path)
+    }
+
+    pub(crate) fn parse(text: &str, path: &Path) -> Result<Self, Error> {
+        let mut poses: Vec<(Timestamp, Rigid)> = Vec::new();
+        for (index, line) in text.lines().enumerate() {
+            let content = line.trim();
+            if content.is_empty() || content.starts_with('#') {
+                continue;
+            }
+            let wrong = |word: usize, expected: &str, found: &str| {
+                let found: String = found.chars().take(40).collect();
+                Error::content(path, (index + 1, word), expected, found)
+            };
+            let commas = content.contains(',');
+            let mut words = content
+                .split(|c: char| if commas { c == ',' } else { c.is_whitespace() })
+                .map(str::trim)
+                .filter(|word| !word.is_empty());
+            let first = words.next().unwrap_or_default();
+            let at = if commas { first.parse().ok().map(Timestamp::from_nanos) } else { seconds(first) };
+            let at = at.ok_or_else(|| {
+                wrong(1, if commas { "whole nanoseconds" } else { "a time in seconds" }, first)
+            })?;
+            let mut values = [0.0; 7];
+            let mut count = 0;
+            for word in words {
+                let Some(value) = values.get_mut(count) else {
+                    if commas {
+                        break;
+                    }
+                    return Err(wrong(9, "eight numbers", "more"));
+                };
+                count += 1;
+                let number = word.parse::<f64>().ok().filter(|x| x.is_finite());
+                *value = number.ok_or_else(|| wrong(count + 1, "a finite number", word))?;
+            }
+            if count < 7 {
+                return Err(wrong(count + 1, "eight numbers", &(count + 1).to_string()));
+            }
+            if let Some((last, _)) = poses.last().filter(|(last, _)| at <= *last) {
+                let expected = format!("a time after {} ns", last.as_nanos());
+                return Err(wrong(1, &expected, &format!("{} ns", at.as_nanos())));
+            }
+            let [x, y, z, a, b, c, d] = values;
+            let q = if commas { Quaternion::new(a, b, c, d) } else { Quaternion::new(d, a, b, c) };
+            if (q.norm() - 1.0).abs() > 0.01 {
+                return Err(wrong(5, "a quaternion of unit length", &format!("length {}", q.norm())));
+            }
+            let rotation = UnitQuaternion::new_normalize(q);
+            poses.push((at, Rigid::from_parts(nalgebra::Vector3::new(x, y, z).into(), rotation)));
+        }
+        if poses.is_empty() {
+            return Err(Error::file(path, "poses", "none"));
+        }
+        Ok(Self { poses })
+    }
+
+    /// Writes TUM's format, times to the nanosecond, numbers to the last bit.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_tum(&self, mut out: impl Write) -> std::io::Result<()> {
+        writeln!(out, "# timestamp tx ty tz qx qy qz qw")?;
+        for (at, pose) in &self.poses {
+            let nanos = at.as_nanos();
+            let sign = if nanos < 0 { "-" } else { "" };
+            let (whole, part) = (nanos.unsigned_abs() / 1_000_000_000, nanos.unsigned_abs() % 1_000_000_000);
+            let [x, y, z, a, b, c, d] = components(pose);
+            writeln!(out, "{sign}{whole}.{part:09} {x} {y} {z} {a} {b} {c} {d}")?;
+        }
+        out.flush()
+    }
+
+    /// The median time from one pose to the next; `None` where there are fewer than two.
+    pub fn period(&self) -> Option<Span> {
+        let mut steps: Vec<i64> = self
+            .poses
+            .windows(2)
+            .map(|pair| pair[1].0.as_nanos().saturating_sub(pair[0].0.as_nanos()))
+            .collect();
+        let middle = steps.len() / 2;
+        (!steps.is_empty()).then(|| Span::from_nanos(*steps.select_nth_unstable(middle).1))
+    }
+
+    /// The length of the way from the first pose to the last, metres.
+    pub fn length_m(&self) -> f64 {
+        let step = |pair: &[(Timestamp, Rigid)]| {
+            (pair[1].1.translation.vector - pair[0].1.translation.vector).norm()
+        };
+        self.poses.windows(2).map(step).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn parse(text: &str) -> Result<Trajectory, Error> {
+        Trajectory::parse(text, Path::new("t.tum"))
+    }
+
+    #[test]
+    fn both_formats_say_the_same() {
+        let tum = parse("# t\n1403715281.26214 1 2 3 0 0 0.6 0.8\n").unwrap();
+        let euroc = parse("#timestamp,p\n1403715281262140000,1,2,3,0.8,0,0,0.6,9,9,9\n").unwrap();
+        assert_eq!(tum, euroc);
+        assert_eq!(tum.poses[0].0.as_nanos(), 1_403_715_281_262_140_000);
+    }
+
+    #[test]
+    fn faults_have_a_place() {
+        for (text, place) in [
+            ("1 0 0 0 0 0 x 1\n", "t.tum:1:7: expected a finite number, found x"),
+            ("1 0 0\n", "t.tum:1:3: expected eight numbers, found 3"),
+            ("1 0 0 0 0 0 0 1 9\n", "t.tum:1:9: expected eight numbers, found more"),
+            ("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", "t.tum:2:1: expected a time after 1000000000 ns"),
+            ("1 0 0 0 0 0 0 2\n", "t.tum:1:5: expected a quaternion of unit length, found length 2"),
+            ("x 0 0 0 0 0 0 1\n", "t.tum:1:1: expected a time in seconds, found x"),
+            ("99999999999 0 0 0 0 0 0 1\n", "t.tum:1:1: expected a time in seconds"),
+            ("# nothing\n", "t.tum: expected poses, found none"),
+        ] {
+            let error = parse(text).unwrap_err().to_string();
+            assert!(error.starts_with(place), "{text}: {error}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(
+            start in -4_000_000_000_000_000_000..4_000_000_000_000_000_000i64,
+            all in prop::collection::vec((1..2_000_000_000i64, -1e6..1e6f64, -1.0..1.0f64, -1.0..1.0f64), 1..20),
+        ) {
+            let mut nanos = start;
+            let poses = all.into_iter().map(|(step, x, y, angle)| {
+                nanos += step;
+                let rotation = UnitQuaternion::from_euler_angles(angle, y, x);
+                (Timestamp::from_nanos(nanos), Rigid::from_parts(nalgebra::Vector3::new(x, y, -x).into(), rotation))
+            }).collect();
+            let trajectory = Trajectory { poses };
+            let mut bytes = Vec::new();
+            trajectory.write_tum(&mut bytes).unwrap();
+            let back = parse(std::str::from_utf8(&bytes).unwrap()).unwrap();
+            for (a, b) in back.poses.iter().zip(&trajectory.poses) {
+                prop_assert_eq!(a.0, b.0);
+                prop_assert_eq!(a.1.translation, b.1.translation);
+                prop_assert!(a.1.rotation.angle_to(&b.1.rotation) < 1e-7);
+            }
+        }
+
+        #[test]
+        fn damaged_text_never_panics(text in "[-0-9., eE#xn\n]{0,400}") {
+            let _ = parse(&text);
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! Recordings that are whole, and recordings that are broken in one place: one sentence each, with its file.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot make its recording fails")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use nalgebra::Vector3;
+use vergence_slam::dataset::Dataset;
+
+const CAMERA: &str = "%YAML:1.0
+sensor_type: camera
+T_BS:
+  cols: 4
+  rows: 4
+  data: [0.0, -1.0, 0.0, 0.05,
+         1.0, 0.0, 0.0, OFFSET,
+         0.0, 0.0, 1.0, 0.0,
+         0.0, 0.0, 0.0, 1.0]
+rate_hz: 20
+resolution: [64, 48]
+camera_model: pinhole
+intrinsics: [40.0, 41.0, 31.5, 23.5] #fu, fv, cu, cv
+distortion_model: radial-tangential
+distortion_coefficients: [-0.28, 0.07, 0.0002, 1.8e-05]
+";
+
+const IMU: &str = "%YAML:1.0
+T_BS:
+  data: [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+rate_hz: 200
+gyroscope_noise_density: 1.7e-04
+gyroscope_random_walk: 1.9e-05
+accelerometer_noise_density: 2.0e-3
+accelerometer_random_walk: 3.0e-3
+";
+
+/// Where the tests' first frame lies in time: nanoseconds since 1970 have more digits than a float.
+const START: i64 = 1_403_715_281_262_142_976;
+
+/// A small recording of two cameras, five frames, with an inertial unit and truth.
+fn whole(folder: &Path) {
+    let mut encoded = Vec::new();
+    let picture = image::GrayImage::from_fn(64, 48, |x, y| image::Luma([(x * 3 + y) as u8]));
+    picture.write_to(&mut std::io::Cursor::new(&mut encoded), image::ImageFormat::Png).unwrap();
+    for camera in 0..2 {
+        let place = folder.join(format!("mav0/cam{camera}"));
+        fs::create_dir_all(place.join("data")).unwrap();
+        fs::write(place.join("sensor.yaml"), CAMERA.replace("OFFSET", ["-0.06", "0.05"][camera])).unwrap();
+        let mut table = "#timestamp [ns],filename\r\n".to_owned();
+        for frame in 0..5 {
+            let nanos = START + frame * 50_000_000;
+            table += &format!("{nanos},{nanos}.png\r\n");
+            fs::write(place.join(format!("data/{nanos}.png")), &encoded).unwrap();
+        }
+        fs::write(place.join("data.csv"), table).unwrap();
+    }
+    let place = folder.join("mav0/imu0");
+    fs::create_dir_all(&place).unwrap();
+    fs::write(place.join("sensor.yaml"), IMU).unwrap();
+    let mut table =
+        "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y,w_RS_S_z,a_RS_S_x,a_RS_S_y,a_RS_S_z\n".to_owned();
+    for sample in 0..60 {
+        table += &format!("{},0,0,0.1,0,0,9.81\n", START + sample * 5_000_000);
+    }
+    fs::write(place.join("data.csv"), table).unwrap();
+    let truth = format!(
+        "{}.262142976 1 2 3 0 0 0 1\n{}.312142976 1 2 3 0 0 0 1\n",
+        START / 1_000_000_000,
+        START / 1_000_000_000
+    );
+    fs::write(folder.join("gt_tum.txt"), truth).unwrap();
+}
+
+fn first_picture() -> String {
+    format!("mav0/cam0/data/{START}.png")
+}
+
+#[test]
+fn a_whole_recording_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    whole(folder.path());
+    for root in [folder.path().to_owned(), folder.path().join("mav0")] {
+        let dataset = Dataset::open(&root).unwrap();
+        assert_eq!((dataset.cameras.len(), dataset.frames.len(), dataset.unpaired), (2, 5, 0));
+        assert_eq!(dataset.frames[0].at.as_nanos(), START);
+        assert_eq!(dataset.inertial.as_ref().map(|unit| unit.samples.len()), Some(60));
+        let baseline = dataset.cameras[0].body_from_camera.inverse() * dataset.cameras[1].body_from_camera;
+        assert!((baseline.translation.vector - Vector3::new(0.11, 0.0, 0.0)).norm() < 1e-12, "{baseline}");
+        let pictures = dataset.pictures(4).unwrap();
+        assert_eq!((pictures.len(), pictures[1].pixels[64 + 2]), (2, 7));
+        assert!(dataset.depth(0).unwrap().is_none());
+        assert_eq!(dataset.period().map(|period| period.as_nanos()), Some(50_000_000));
+    }
+    assert_eq!(Dataset::open(folder.path()).unwrap().truth.map(|truth| truth.poses.len()), Some(2));
+}
+
+/// Breaks one file of a whole recording; what opening it says.
+fn broken(break_it: impl FnOnce(&Path)) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    whole(folder.path());
+    break_it(folder.path());
+    let error = Dataset::open(folder.path()).map(|_| ()).unwrap_err().to_string();
+    assert_eq!(error.lines().count(), 1, "{error}");
+    error.replace(&format!("{}/", folder.path().display()), "")
+}
+
+fn edit(file: &str, from: &str, to: &str) -> String {
+    broken(|folder| {
+        let path: PathBuf = folder.join(file);
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{file} has no {from}");
+        fs::write(&path, text.replace(from, to)).unwrap();
+    })
+}
+
+#[test]
+fn a_broken_recording_has_one_sentence() {
+    let said = broken(|folder| fs::remove_file(folder.join(first_picture())).unwrap());
+    assert!(said.starts_with(&first_picture()) && said.contains("No such file"), "{said}");
+    let said = broken(|folder| fs::write(folder.join(first_picture()), []).unwrap());
+    assert_eq!(said, format!("{}: expected a picture, found 0 bytes", first_picture()));
+    let said = broken(|folder| fs::write(folder.join("mav0/cam1/data.csv"), []).unwrap());
+    assert_eq!(said, "mav0/cam1/data.csv: expected a file with something in it, found 0 bytes");
+
+    let (second, third) = (START + 50_000_000, START + 100_000_000);
+    let swap = |folder: &Path| {
+        let path = folder.join("mav0/cam1/data.csv");
+        let text = fs::read_to_string(&path).unwrap();
+        let text =
+            text.replace(&format!("{second},"), "X,").replace(&format!("{third},"), &format!("{second},"));
+        fs::write(&path, text.replace("X,", &format!("{third},"))).unwrap();
+    };
+    let said = broken(swap);
+    assert_eq!(
+        said,
+        format!("mav0/cam1/data.csv:4:1: expected times that grow (after {third} ns), found {second} ns")
+    );
+    let said = edit("mav0/cam0/data.csv", &format!("{second},"), &format!("{START},"));
+    assert_eq!(
+        said,
+        format!("mav0/cam0/data.csv:3:1: expected each time once, found {START} ns a second time")
+    );
+    let said = edit("mav0/cam0/data.csv", &format!("{second},"), "soon,");
+    assert_eq!(said, "mav0/cam0/data.csv:3:1: expected whole nanoseconds, found soon");
+    let said = edit("mav0/cam0/data.csv", &format!(",{second}.png"), ",../../../secret.png");
+    assert_eq!(
+        said,
+        "mav0/cam0/data.csv:3:2: expected the name of a picture in data/, found ../../../secret.png"
+    );
+    let said = edit("mav0/imu0/data.csv", &format!("{},", START + 5_000_000), &format!("{START},"));
+    assert!(said.starts_with("mav0/imu0/data.csv:3:1: expected a time after"), "{said}");
+}
+
+#[test]
+fn a_calibration_that_cannot_be_is_named() {
+    let sheet = "mav0/cam1/sensor.yaml";
+    for (from, to, expected) in [
+        (
+            "[40.0, 41.0, 31.5, 23.5]",
+            "[0.0, 41.0, 31.5, 23.5]",
+            "expected focal lengths above 0 px and below 1e6 px, found 0 and 41",
+        ),
+        ("[40.0, 41.0, 31.5, 23.5]", "[40.0, 41.0, 31.5]", "expected intrinsics: 4 numbers, found 3"),
+        (
+            "[40.0, 41.0, 31.5, 23.5]",
+            "[40.0, .nan, 31.5, 23.5]",
+            "expected intrinsics: finite numbers, found .nan",
+        ),
+        (
+            "[40.0, 41.0, 31.5, 23.5]",
+            "[40.0, 41.0, 315.0, 23.5]",
+            "expected intrinsics: a principal point in the picture, found [315.0, 23.5]",
+        ),
+        ("[64, 48]", "[64, 0]", "expected resolution: whole numbers of 16 to 16384, found [64.0, 0.0]"),
+        (
+            "[-0.28, 0.07, 0.0002, 1.8e-05]",
+            "[-28.0, 0.07, 0.0002, 1.8e-05]",
+            "expected distortion_coefficients: a lens that sees the picture, found one whose picture folds over in its middle",
+        ),
+        (
+            "radial-tangential",
+            "wobbly",
+            "expected distortion_model: radial-tangential, equidistant or none, found wobbly",
+        ),
+        (
+            "[0.0, -1.0, 0.0, 0.05,",
+            "[0.5, -1.0, 0.0, 0.05,",
+            "expected T_BS: a rotation (orthonormal columns), found columns that are off by 0.750",
+        ),
+        (
+            "[0.0, -1.0, 0.0, 0.05,",
+            "[0.0, 1.0, 0.0, 0.05,",
+            "expected T_BS: a rotation (determinant 1), found a mirror (determinant -1)",
+        ),
+        (
+            "0.0, 0.0, 0.0, 1.0]",
+            "0.0, 0.0, 0.0, 2.0]",
+            "expected T_BS: the last row 0, 0, 0, 1, found [0.0, 0.0, 0.0, 2.0]",
+        ),
+        ("T_BS:", "T_SB:", "expected T_BS: 16 numbers, found nothing"),
+    ] {
+        assert_eq!(edit(sheet, from, to), format!("{sheet}: {expected}"), "{from} -> {to}");
+    }
+    assert!(edit(sheet, "T_BS:", "T_BS: [").starts_with(&format!("{sheet}:")));
+    let said = edit("mav0/imu0/sensor.yaml", "1.7e-04", "-1.0");
+    assert_eq!(said, "mav0/imu0/sensor.yaml: expected gyroscope_noise_density: a number above 0, found -1.0");
+}
+
+#[test]
+fn pictures_that_are_none_are_named_when_they_are_wanted() {
+    let folder = tempfile::tempdir().unwrap();
+    whole(folder.path());
+    fs::write(folder.path().join(first_picture()), b"no picture").unwrap();
+    let said = Dataset::open(folder.path()).unwrap().pictures(0).unwrap_err().to_string();
+    assert!(said.contains(".png: expected a PNG or JPEG picture, found"), "{said}");
+    image::GrayImage::new(32, 48).save(folder.path().join(first_picture())).unwrap();
+    let said = Dataset::open(folder.path()).unwrap().pictures(0).unwrap_err().to_string();
+    assert!(said.ends_with("expected 64x48 pixels, as the calibration says, found 32x48 pixels"), "{said}");
+}
+
+#[test]
+fn folders_that_are_no_recording_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let said = Dataset::open(folder.path()).map(|_| ()).unwrap_err().to_string();
+    assert!(said.contains("expected a folder with mav0/cam0"), "{said}");
+    assert!(Dataset::open(&folder.path().join("nowhere")).is_err());
+    // 7-Scenes with a hole.
+    let pose = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n";
+    for frame in [0, 2] {
+        image::GrayImage::new(640, 480)
+            .save(folder.path().join(format!("frame-{frame:06}.color.jpg")))
+            .unwrap();
+        fs::write(folder.path().join(format!("frame-{frame:06}.pose.txt")), pose).unwrap();
+    }
+    let said = Dataset::open(folder.path()).map(|_| ()).unwrap_err().to_string();
+    assert!(said.contains("frame-000001.color.jpg: No such file"), "{said}");
+}
+
+#[test]
+fn published_recordings_are_read() {
+    let Some(data) =
+        std::env::var_os("VERGENCE_DATA").map(PathBuf::from).filter(|path| path.join("slam").is_dir())
+    else {
+        let required =
+            std::env::var("VERGENCE_REQUIRE").unwrap_or_default().split(',').any(|entry| entry == "data");
+        assert!(!required, "VERGENCE_REQUIRE names data, but there is none");
+        println!("skipped: no data (VERGENCE_DATA)");
+        return;
+    };
+    let flight = Dataset::open(&data.join("slam/half_real_v101_14s")).unwrap();
+    assert_eq!((flight.cameras.len(), flight.frames.len()), (2, 280));
+    assert_eq!(flight.truth.as_ref().map(|truth| truth.poses.len()), Some(280));
+    assert_eq!(flight.pictures(279).unwrap()[1].width, 752);
+    let start = Dataset::open(&data.join("slam/euroc_v101_start")).unwrap();
+    assert_eq!(
+        (start.frames.len(), start.inertial.as_ref().map(|unit| unit.samples.len())),
+        (30, Some(29_120))
+    );
+    let hand = Dataset::open(&data.join("slam/sevenscenes_rgbd")).unwrap();
+    assert_eq!(
+        (hand.frames.len(), hand.frames.iter().filter(|frame| frame.depth.is_some()).count()),
+        (200, 20)
+    );
+    let depth = hand.depth(10).unwrap().unwrap();
+    assert!(depth.metres.iter().filter(|d| **d > 0.3 && **d < 6.0).count() > 200_000);
+}
