@@ -1,23 +1,19 @@
-//! What the user can do, by name; which control of which device does it follows from that.
-//!
-//! An application names [`Action`]s ("grab", "aim") and says which [`Control`] each is meant for; [`suggestions`]
-//! derives from this, for every known interaction [`Profile`], the paths that an OpenXR runtime is told. Nothing in
-//! an application names a device, so none is locked out: who has other hardware adds one table row here. This crate
-//! knows no OpenXR types: paths are strings.
-//!
-//! ```
-//! use vergence_action::{Action, Control, Kind, PROFILES, suggestions};
-//! let grab = Action { name: "grab", label: "Grab", kind: Kind::Axis, control: Control::Squeeze };
-//! let touch = PROFILES.iter().find(|p| p.path.contains("oculus/touch")).unwrap();
-//! let paths: Vec<String> = suggestions(touch, &[grab]).map(|s| s.path()).collect();
-//! assert_eq!(paths, ["/user/hand/left/input/squeeze/value", "/user/hand/right/input/squeeze/value"]);
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod bindings;
+mod curve;
 mod dead_zone;
+pub mod filter;
+mod layout;
+mod mapper;
 mod profile;
 
-pub use dead_zone::{DeadZone, DeadZoneError};
+pub use bindings::{Bind, Bindings, BoundAction, Chooses, Conflict, Error, Logical, Watched};
+pub use curve::Curve;
+pub use dead_zone::{DeadZone, DeadZoneError, Rest, Shape};
+pub use layout::{InputKind, Layout, input_kind, label, labelled};
+pub use mapper::{InputId, Mapper, Reading, Value};
 pub use profile::{PROFILES, Profile, Suggestion, suggestions};
 
 /// Something that the user can do, with either hand.
