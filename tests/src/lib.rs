@@ -1,6 +1,7 @@
 //! What tests across crates share: how a test says that something it needs is missing, where data and the built tool are,
 //! and Monado, a real OpenXR runtime, with a script that poses its headset.
 
+pub mod disc;
 pub mod located;
 pub mod monado;
 pub mod pictures;

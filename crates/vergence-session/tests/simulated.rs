@@ -4,10 +4,8 @@
 
 mod stage;
 
-use nalgebra::{Point3, UnitQuaternion, Vector3};
-use stage::{DISC_AHEAD_M, DISC_RADIUS_M, Folder, config, disc, has_vulkan};
-use vergence_geom::{Fov, Rigid, project};
-use vergence_session::{CaptureConfig, Happening, HeadsetChoice, RunConfig, RunReport, run};
+use stage::{Folder, config, disc, has_vulkan};
+use vergence_session::{Happening, HeadsetChoice, RunConfig, RunReport, run};
 use vergence_xr_sim::{Control, Presence};
 
 /// Runs, and does something with the headset when so many frames have been shown.
@@ -43,109 +41,6 @@ fn three_hundred_frames_with_motion() {
     assert!(report.depth_layer);
     assert_eq!(std::fs::read_to_string(poses).unwrap().lines().count(), 300);
     assert_quiet(&report);
-}
-
-/// The views that are submitted are those that the picture was drawn with, and those are where the eyes are: the middle
-/// of a disc in the composed picture is where the geometry of each eye puts it.
-#[test]
-fn a_disc_is_seen_where_the_geometry_of_each_eye_puts_it() {
-    const TOLERANCE_PX: f64 = 0.1;
-    if !has_vulkan() {
-        return;
-    }
-    let folder = Folder::new("disc");
-    let capture = CaptureConfig { dir: folder.0.join("pictures"), every: Some(10) };
-    let config = RunConfig { capture: Some(capture.clone()), ..config(&folder, 60) };
-    let report = run(&disc(false), &config, &mut |_| {}).unwrap();
-    assert_quiet(&report);
-    let poses = std::fs::read_to_string(capture.dir.join("poses.jsonl")).unwrap();
-    let mut compared = 0;
-    let mut heads = Vec::new();
-    for line in poses.lines() {
-        let line: serde_json::Value = serde_json::from_str(line).unwrap();
-        let path = capture.dir.join(format!("frame-{:06}.png", line["frame"].as_u64().unwrap()));
-        let mut reader = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap()))
-            .read_info()
-            .unwrap();
-        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
-        let info = reader.next_frame(&mut pixels).unwrap();
-        let (width, height) = (info.width as usize / 2, info.height as usize);
-        heads.push(line["head"][3].as_f64().unwrap());
-        for eye in 0..2 {
-            let numbers = |value: &serde_json::Value| -> Vec<f64> {
-                value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
-            };
-            let pose = numbers(&line["eyes"][eye]["pose"]);
-            let angles = numbers(&line["eyes"][eye]["fov"]);
-            let q = nalgebra::Quaternion::new(pose[6], pose[3], pose[4], pose[5]);
-            let local_from_eye = Rigid::from_parts(
-                Vector3::new(pose[0], pose[1], pose[2]).into(),
-                UnitQuaternion::new_normalize(q),
-            );
-            let fov =
-                Fov { left_rad: angles[0], right_rad: angles[1], up_rad: angles[2], down_rad: angles[3] };
-            // LOCAL's origin is at eye height; the scene's start is on the floor.
-            let truth = truth_px(&local_from_eye, &fov, (width, height));
-            let found = centroid_px(&pixels, eye * width, (width, height), 2 * width);
-            let (Some(truth), Some(found)) = (truth, found) else { continue };
-            let off = (truth.0 - found.0).hypot(truth.1 - found.1);
-            assert!(off <= TOLERANCE_PX, "{line}: eye {eye}: expected {truth:?}, found {found:?}");
-            compared += 1;
-        }
-    }
-    assert!(compared >= 8, "the disc was seen in {compared} pictures only");
-    assert!(heads.iter().any(|x| (x - heads[0]).abs() > 1e-3), "the head did not move");
-}
-
-/// Where the disc's centroid is, in pixels, by integrating the projected disc; `None` unless all of it is well inside.
-fn truth_px(local_from_eye: &Rigid, fov: &Fov, (width, height): (usize, usize)) -> Option<(f64, f64)> {
-    const RINGS: usize = 60;
-    const SPOKES: usize = 120;
-    let eye_from_local = local_from_eye.inverse();
-    let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-    let pixel = |p: &Point3<f64>| {
-        project(fov, &(eye_from_local * p))
-            .map(|ndc| (0.5 * (ndc.x + 1.0) * width as f64, 0.5 * (ndc.y + 1.0) * height as f64))
-    };
-    // Area of a cell in the picture: the cross product of its diagonals.
-    let at = |ring: f64, spoke: usize| {
-        let angle = spoke as f64 / SPOKES as f64 * std::f64::consts::TAU;
-        let radius = DISC_RADIUS_M * ring / RINGS as f64;
-        Point3::new(radius * angle.cos(), radius * angle.sin(), -DISC_AHEAD_M)
-    };
-    for ring in 0..RINGS {
-        for spoke in 0..SPOKES {
-            let (inner, outer) = (ring as f64, ring as f64 + 1.0);
-            let (a, b) = (pixel(&at(inner, spoke))?, pixel(&at(outer, spoke))?);
-            let (c, d) = (pixel(&at(outer, spoke + 1))?, pixel(&at(inner, spoke + 1))?);
-            let area = 0.5 * ((c.0 - a.0) * (d.1 - b.1) - (c.1 - a.1) * (d.0 - b.0)).abs();
-            sum += area;
-            x += area * 0.25 * (a.0 + b.0 + c.0 + d.0);
-            y += area * 0.25 * (a.1 + b.1 + c.1 + d.1);
-            let inside = |p: (f64, f64)| {
-                (2.0..width as f64 - 2.0).contains(&p.0) && (2.0..height as f64 - 2.0).contains(&p.1)
-            };
-            if !(inside(b) && inside(c)) {
-                return None;
-            }
-        }
-    }
-    Some((x / sum, y / sum))
-}
-
-/// Centroid of what is bright, in pixels of one eye; light is added up linearly.
-fn centroid_px(rgba: &[u8], left: usize, (width, height): (usize, usize), row: usize) -> Option<(f64, f64)> {
-    let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
-    for v in 0..height {
-        for u in 0..width {
-            let coded = f64::from(rgba[4 * (v * row + left + u)]) / 255.0;
-            let light = if coded <= 0.04045 { coded / 12.92 } else { ((coded + 0.055) / 1.055).powf(2.4) };
-            sum += light;
-            x += light * (u as f64 + 0.5);
-            y += light * (v as f64 + 0.5);
-        }
-    }
-    (sum > 0.0).then(|| (x / sum, y / sum))
 }
 
 /// The headset is off for a while: the session is idle, says so, and goes on when it is put on again.
