@@ -167,6 +167,24 @@ fn rooms_import_only_what_the_table_allows() {
 }
 
 #[test]
+fn a_rooms_readme_is_its_documentation() {
+    let mut wrong = Vec::new();
+    for (room, folder) in &rooms() {
+        let readme = std::fs::read_to_string(folder.join("README.md")).unwrap_or_default();
+        if !readme.contains("```") {
+            wrong.push(format!("{room}: a README.md with an example is expected"));
+        }
+        if !read(&folder.join("src/lib.rs")).contains("#![doc = include_str!(\"../README.md\")]") {
+            wrong.push(format!("{room}: src/lib.rs is expected to take its documentation from README.md"));
+        }
+        if manifest(folder)["package"].get("readme").is_none() {
+            wrong.push(format!("{room}: a manifest that names README.md is expected"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
 fn no_circle_in_the_table() {
     let table = table();
     let mut placed: BTreeSet<&String> = BTreeSet::new();

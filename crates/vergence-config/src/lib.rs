@@ -1,18 +1,4 @@
-//! Configuration files: TOML with units, unknown keys refused, errors with file, line and column.
-//!
-//! A value says its unit in the file (`ipd = "63 mm"`, `rate = "90 Hz"`, `fov = "100 deg"`); what reaches the
-//! program is SI and radians. A raw file struct (serde, `deny_unknown_fields`) is read with [`read`] and resolved
-//! by its owner into a complete one. It depends on nothing else of Vergence.
-//!
-//! ```
-//! #[derive(Debug, serde::Deserialize)]
-//! #[serde(deny_unknown_fields)]
-//! struct Raw { ipd: vergence_config::Length }
-//! let raw: Raw = vergence_config::parse("eyes.toml", "ipd = \"63 mm\"").unwrap();
-//! assert_eq!(raw.ipd.metres(), 0.063);
-//! let error = vergence_config::parse::<Raw>("eyes.toml", "ipd = \"63 furlongs\"").unwrap_err();
-//! assert!(error.to_string().starts_with("eyes.toml:1:7: expected a length"));
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod quantity;

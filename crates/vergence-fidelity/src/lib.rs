@@ -1,19 +1,4 @@
-//! How far a picture is from a reference picture: RMSE, PSNR, SSIM and FLIP.
-//!
-//! Measures that people can compare with other people's: SSIM is Wang's (as scikit-image computes it with a
-//! Gaussian window), FLIP is Andersson's (as NVIDIA's `flip-evaluator` computes it); both are checked against values
-//! recorded from those programs (`references/oracle.py`). All work on [`Picture`]s: display-encoded sRGB in 0…1,
-//! rows from the top. Nothing here returns NaN: a picture with a value that is not finite is refused when it is
-//! made, pictures of different size are refused when they are compared. It depends on nothing else of Vergence.
-//!
-//! ```
-//! use vergence_fidelity::{DEFAULT_PIXELS_PER_DEGREE, Picture, flip, rmse, ssim};
-//! let reference = Picture::from_rgb8(16, 16, &[128; 16 * 16 * 3]).unwrap();
-//! let test = Picture::from_rgb8(16, 16, &[130; 16 * 16 * 3]).unwrap();
-//! assert!((rmse(&reference, &test).unwrap() - 2.0 / 255.0).abs() < 1e-7);
-//! assert!(ssim(&reference, &test).unwrap() > 0.99);
-//! assert!(flip(&reference, &test, DEFAULT_PIXELS_PER_DEGREE).unwrap().mean < 0.1);
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod convolve;

@@ -1,17 +1,4 @@
-//! Rotations, rigid transforms, fields of view, projections, frustums and lens models, in `f64`.
-//!
-//! One convention for the whole toolkit: right-handed, metres, y up, −z forward (OpenXR's). A transform is
-//! called `a_from_b` and takes coordinates in `b` to coordinates in `a`; products cancel by spelling:
-//! `world_from_eye = world_from_head * head_from_eye`. The one cast to `f32` happens in the renderer, after
-//! everything has been made relative to the camera. It depends on nothing else of Vergence.
-//!
-//! ```
-//! use vergence_geom::{Fov, Rigid, project};
-//! let fov = Fov::symmetric(60f64.to_radians(), 1.0).unwrap();
-//! let eye_from_world = Rigid::translation(0.032, 0.0, 0.0);
-//! let ndc = project(&fov, &(eye_from_world * nalgebra::Point3::new(0.0, 0.0, -2.0))).unwrap();
-//! assert!((ndc.x - 0.016 / 30f64.to_radians().tan()).abs() < 1e-15);
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod affine;

@@ -1,15 +1,4 @@
-//! What a scene requires, and what is therefore built, requested and opened: passes, pipelines, OpenXR extensions,
-//! actions, streams.
-//!
-//! The plan is made before anything exists. The renderer creates the pipelines of [`Plan::needs`], the OpenXR client
-//! asks for [`Plan::extensions`] and creates [`Plan::actions`]; nothing else is created, asked for or opened. The plan
-//! draws nothing and opens nothing itself.
-//!
-//! ```
-//! use vergence_plan::{Plan, Requests};
-//! let nothing = Plan::of(&vergence_scene::Scene::default(), &Requests::default());
-//! assert!(nothing.passes.is_empty() && nothing.actions.actions.is_empty());
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod report;

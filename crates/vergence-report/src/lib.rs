@@ -1,23 +1,4 @@
-//! Plots as SVG, tables as text, and both as one self-contained HTML page.
-//!
-//! What a person reads after a measurement: a [`Plot`] (points and lines, linear or logarithmic axes, legend, labels
-//! that do not overlap, the colour-blind-safe palette of Okabe and Ito with a shape per series, a tooltip per point),
-//! a [`Table`] (aligned text for a terminal; sortable in HTML) and a [`Page`] that loads nothing from anywhere and
-//! reads well on a phone. The same input gives the same bytes. It depends on nothing else of Vergence.
-//!
-//! Why not `plotters`: its back ends know pixels, lines and text only, so an SVG from it cannot carry a tooltip, a
-//! title for screen readers or a label that gives way to another; what is left of it, axes and ticks, is the
-//! smaller part of this crate.
-//!
-//! ```
-//! use vergence_report::{Axis, Page, Plot, Point, Series, Style};
-//! let points = vec![Point::new(1.0, 0.1), Point::new(10.0, 0.01).labelled("knee")];
-//! let plot = Plot::new("Cost and error", Axis::log("cost (ms)"), Axis::linear("error"))
-//!     .with(Series::new("measured", Style::Line, points));
-//! let page = Page::new("Report").plot(&plot)?.to_html();
-//! assert!(page.contains("<svg") && page.contains("knee"));
-//! # Ok::<(), vergence_report::Error>(())
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod axis;

@@ -1,17 +1,4 @@
-//! What devices say: poses, buttons, axes, hand joints, gaze, each with how far it can be trusted.
-//!
-//! A reading is a [`Sample`]: a value, the instant it holds for and the instant it arrived. Loss of tracking is data
-//! ([`Tracking::Lost`]), never an error and never a made-up number: a value that is not known cannot be read. This
-//! crate does no I/O and knows no device.
-//!
-//! ```
-//! use vergence_sense::{Hand, Pose, Tracking};
-//! let lost = Pose::LOST;
-//! assert_eq!(lost.reference_from_device(), None);
-//! let seen = Pose::tracked(vergence_geom::Rigid::translation(0.2, 1.3, -0.5));
-//! assert_eq!(seen.position_tracking, Tracking::Measured);
-//! assert_eq!(Hand::Left.other(), Hand::Right);
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod body;

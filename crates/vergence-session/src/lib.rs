@@ -1,19 +1,4 @@
-//! Runs a scene on a headset: plan, headset, renderer, and the frame loop that joins them.
-//!
-//! [`run`] makes what the plan says and nothing else, shows the scene until it is told to stop, and reports what a user
-//! would want to know: which headset and why, frames shown and missed, our own CPU time per frame, and how old the pose
-//! of a picture was when it was handed to the GPU. Whatever happens to the headset meanwhile is said in a sentence, and
-//! what can be recovered from is.
-//!
-//! The simulated headset is an OpenXR runtime that is linked in: the path to it is the path to a real one.
-//!
-//! ```no_run
-//! use vergence_session::{RunConfig, run};
-//! let scene = std::sync::Arc::new(vergence_scene::load("room.glb".as_ref(), &vergence_scene::Limits::default())?);
-//! let report = run(&scene, &RunConfig { frames: Some(300), ..RunConfig::default() }, &mut |_| {})?;
-//! println!("{} frames on {}", report.frames, report.headset);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
+#![doc = include_str!("../README.md")]
 // One unsafe block: naming the embedded runtime's entry point.
 #![deny(unsafe_code)]
 

@@ -1,27 +1,4 @@
-//! The toolkit's shaders: WGSL in `shaders/`, compiled to SPIR-V at build time, so that neither building nor
-//! running needs a shader compiler. It depends on nothing else of Vergence.
-//!
-//! `surface.wgsl` exists once for each [`Variant`]: what a surface does not need is not in its shader at all (a
-//! software device such as lavapipe would execute it). The number of views and of lights is written into the
-//! module when a pipeline is made, so that loops over them have a constant length, which drivers unroll.
-//!
-//! ```
-//! use vergence_shaders::{Coverage, Law, Lights, Variant};
-//! let plain = Variant {
-//!     law: Law::MetallicRoughness,
-//!     coverage: Coverage::Opaque,
-//!     base_color_texture: false,
-//!     metallic_roughness_texture: false,
-//!     normal_texture: false,
-//!     occlusion_texture: false,
-//!     emissive_texture: false,
-//!     vertex_colors: false,
-//!     many_uvs: false,
-//!     handed_on: false,
-//! };
-//! let module = vergence_shaders::surface_fragment(&plain, 2, Lights { infinite: 1, placed: 0 }).unwrap();
-//! assert_eq!(module.words()[0], 0x0723_0203);
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod variant;

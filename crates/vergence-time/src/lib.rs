@@ -1,19 +1,4 @@
-//! Instants and durations of the session, as integers.
-//!
-//! Every sample, pose and frame carries a [`Timestamp`]: whole nanoseconds on one named clock. Integers are
-//! exact over the age of the universe that fits into 64 bits, order totally, and replay bit for bit; a float
-//! does none of these. There is no "no time" value: absence is `Option`.
-//!
-//! This crate reads no clock. Who needs to wait or to ask for "now" is handed a [`Clock`]; tests hand over a
-//! [`HandClock`] that they move themselves. What a device says of its own clock becomes session time by a [`ClockMap`]. It
-//! depends on nothing else of Vergence.
-//!
-//! ```
-//! use vergence_time::{Span, Timestamp};
-//! let shown = Timestamp::from_nanos(2_000_000_000);
-//! let located = Timestamp::from_nanos(1_989_000_000);
-//! assert_eq!(shown.since(located), Some(Span::from_millis(11)));
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod clock;

@@ -1,28 +1,4 @@
-//! Knob × cost × error: which settings are worth having, and which one fits a budget.
-//!
-//! A subsystem that can be turned (a renderer, a filter, a tracker) lists its [`Knob`]s, measures what some
-//! [`Setting`]s cost and how far each is from a truth, and gets the Pareto front and a choice by budget or by error.
-//! Nothing here knows what is traded: costs and errors are named [`Scale`]s of which **smaller is better**. It
-//! imports `report` only, measures nothing itself and reads no clock; the same measurements give the same answer,
-//! also where they tie. A measurement that is not finite can be recorded, but is never on a front nor chosen.
-//!
-//! ```
-//! use vergence_trade::{Knob, Limit, Measurement, Scale, Setting, Trade, Value};
-//! let mut trade = Trade::new(
-//!     "anti-aliasing",
-//!     vec![Knob::new("msaa", "samples", vec![Value::from(1), Value::from(4)])],
-//!     vec![Scale::new("cpu", "ms")],
-//!     vec![Scale::new("flip", "")],
-//! )?;
-//! for (setting, cost, error) in trade.grid().into_iter().zip([10.0, 25.0]).zip([0.08, 0.02]).map(|((s, c), e)| (s, c, e)) {
-//!     trade.push(Measurement { setting, costs: vec![cost], errors: vec![error] })?;
-//! }
-//! let (cost, error) = (0, 0);
-//! assert_eq!(trade.pareto(cost, error), [0, 1]);
-//! assert_eq!(trade.choose(cost, error, Limit::Cost(20.0))?, 0);
-//! assert_eq!(trade.choose(cost, error, Limit::Error(0.05))?, 1);
-//! # Ok::<(), vergence_trade::Error>(())
-//! ```
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod front;
