@@ -7,7 +7,9 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::error::Error;
+use crate::fields::{FieldDiff, differing};
 use crate::message::ClockKind;
+use crate::messages::schema_of;
 use crate::reader::{Entry, Reader};
 
 /// How two logs compare.
@@ -51,6 +53,10 @@ pub struct Difference {
     pub offset_b: Option<u64>,
     /// In words.
     pub sentence: String,
+    /// What of the message differs, the first eight of it.
+    pub fields: Vec<FieldDiff>,
+    /// How many fields differ in all.
+    pub fields_count: u64,
 }
 
 /// A message that waits for the other log's.
@@ -59,7 +65,12 @@ struct Seen {
     length: usize,
     arrived_ns: i64,
     offset: u64,
+    /// Where it is not large: to be taken apart.
+    payload: Vec<u8>,
 }
+
+/// Of larger messages, pictures, it is not told what differs.
+const TAKEN_APART: usize = 16 << 10;
 
 impl Seen {
     fn of(entry: &Entry<'_>) -> Self {
@@ -70,6 +81,7 @@ impl Seen {
             length: entry.payload.len(),
             arrived_ns: crate::cut::arrival(entry).as_nanos(),
             offset: entry.place.offset,
+            payload: if entry.payload.len() <= TAKEN_APART { entry.payload.to_vec() } else { Vec::new() },
         }
     }
 
@@ -109,7 +121,21 @@ impl Pair {
     }
 
     fn part(&mut self, a: Option<Seen>, b: Option<Seen>) {
+        let apart = |a: &Seen, b: &Seen| {
+            if a.payload.is_empty() || b.payload.is_empty() || self.types[0] != self.types[1] {
+                return (Vec::new(), 0);
+            }
+            differing(schema_of(&self.types[0]), &a.payload, &b.payload)
+        };
+        let (fields, count) = a.as_ref().zip(b.as_ref()).map_or((Vec::new(), 0), |(a, b)| apart(a, b));
         let sentence = match (&a, &b) {
+            (Some(_), Some(_)) if count > 0 => {
+                let value = |value: &Option<String>| value.clone().unwrap_or_else(|| "none".to_owned());
+                let word = |f: &FieldDiff| format!("{}: {} | {}", f.name, value(&f.a), value(&f.b));
+                let more = count - fields.len();
+                let more = if more > 0 { format!("; and {more} fields more") } else { String::new() };
+                fields.iter().map(word).collect::<Vec<_>>().join("; ") + &more
+            }
             (Some(a), Some(b)) if a.length != b.length => {
                 format!("{} bytes in the first log, {} in the second", a.length, b.length)
             }
@@ -124,6 +150,8 @@ impl Pair {
             offset_a: a.as_ref().map(|seen| seen.offset),
             offset_b: b.as_ref().map(|seen| seen.offset),
             sentence,
+            fields,
+            fields_count: count as u64,
         });
     }
 }

@@ -8,7 +8,7 @@ use vergence_log::{
     Error, Header, Limits, Options, Part, Reader, Recorder, StreamDesc, Survey, Times, cut, diff, merge,
     repair,
 };
-use vergence_sense::{Scalar, Vector2};
+use vergence_sense::{RawPose, RawView, RawViews, Scalar, Validity, Vector2};
 use vergence_time::Timestamp;
 
 fn at(nanos: i64) -> Timestamp {
@@ -136,6 +136,10 @@ fn a_difference_is_found_in_its_stream_and_host_time_is_none() {
     let difference = device.first_difference.as_ref().unwrap();
     assert_eq!((device.equal_until, difference.index), (700, 700));
     assert_eq!(difference.arrived_a_ns, Some(750_000_000 + 75_000 + 3_000_000));
+    let field = &difference.fields[0];
+    let values = (field.a.as_deref(), field.b.as_deref());
+    assert_eq!((field.name.as_str(), values), ("value", (Some("700.0"), Some("700.000000001"))));
+    assert_eq!((difference.fields_count, &*difference.sentence), (1, "value: 700.0 | 700.000000001"));
     // One that ends earlier.
     let part = Part { until: Some(at(300_000_000)), ..Part::default() };
     let short = dir.path().join("short.mcap");
@@ -143,6 +147,33 @@ fn a_difference_is_found_in_its_stream_and_host_time_is_none() {
     let short = compare(&short);
     let device = short.streams.iter().find(|stream| stream.name == "/device/x").unwrap();
     assert!(!short.equal && device.first_difference.as_ref().unwrap().sentence.contains("only the first"));
+}
+
+/// Of nested messages and lists the very number is named that differs, and a sign of zero is one.
+#[test]
+fn a_difference_names_its_fields() {
+    let dir = TempDir::new().unwrap();
+    let write = |name: &str, z: f32, turned: f32, right: f32| {
+        let path = dir.path().join(name);
+        let mut recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
+        let views = recorder.stream::<RawViews>(&StreamDesc::new("/views").frame("local")).unwrap();
+        let mut two = [RawView { pose: RawPose::IDENTITY, fov_rad: [-0.8, right, 0.8, -0.8] }; 2];
+        two[1].pose.position_m[2] = z;
+        two[1].pose.orientation_xyzw[1] = turned;
+        recorder.write(&views, Times::at(at(1)), &RawViews::new(Validity::ALL, &two).unwrap());
+        recorder.finish().unwrap();
+        path
+    };
+    let (a, b) = (write("a.mcap", 0.0, 0.0, 0.5), write("b.mcap", -0.0, 0.25, 0.75));
+    let found = diff(&a, &b, &mut |_, _| {}).unwrap();
+    let views = found.streams.iter().find(|stream| stream.name == "/views").unwrap();
+    let difference = views.first_difference.as_ref().unwrap();
+    let names: Vec<&str> = difference.fields.iter().map(|field| field.name.as_str()).collect();
+    assert_eq!(names, ["poses[1].position.z", "poses[1].orientation.y", "fovs_rad[1]", "fovs_rad[5]"]);
+    assert_eq!(
+        (difference.fields[0].a.as_deref(), difference.fields[0].b.as_deref()),
+        (Some("0.0"), Some("-0.0"))
+    );
 }
 
 /// What an earlier call left half done is a source like any other: the result's name does not touch it.

@@ -1,7 +1,8 @@
 //! What the environment says of the headset.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
+use vergence_session::SessionLog;
 use vergence_xr_sim::{ClockMode, Config, Fault, FaultPlan, Profile, motion};
 
 use crate::capture;
@@ -27,6 +28,14 @@ pub enum Error {
         /// Why.
         source: vergence_xr_sim::Error,
     },
+    /// The recorded session that is to move it cannot be read.
+    #[error("{name}: {source}")]
+    Log {
+        /// The variable.
+        name: &'static str,
+        /// Why.
+        source: vergence_session::Error,
+    },
     /// The folder for pictures cannot be written.
     #[error("{path}: {source}")]
     Write {
@@ -50,7 +59,12 @@ pub fn configuration(get: impl Fn(&str) -> Option<String>) -> Result<Config, Err
         config.profile = Profile::open(&profile).map_err(headset("VERGENCE_XR_PROFILE"))?;
     }
     if let Some(name) = given("VERGENCE_XR_MOTION") {
-        config.motion = motion::open(&name).map_err(headset("VERGENCE_XR_MOTION"))?;
+        config.motion = if name.ends_with(".mcap") {
+            let script = SessionLog::open(Path::new(&name)).and_then(|log| log.motion());
+            Box::new(script.map_err(|source| Error::Log { name: "VERGENCE_XR_MOTION", source })?)
+        } else {
+            motion::open(&name).map_err(headset("VERGENCE_XR_MOTION"))?
+        };
     }
     if let Some(clock) = given("VERGENCE_XR_CLOCK") {
         config.clock = match clock.as_str() {
@@ -109,6 +123,7 @@ mod tests {
             ("VERGENCE_XR_CLOCK", "sundial"),
             ("VERGENCE_XR_PROFILE", "no-such-headset"),
             ("VERGENCE_XR_MOTION", "no-such-motion"),
+            ("VERGENCE_XR_MOTION", "no-such-session.mcap"),
             ("VERGENCE_XR_FAULTS", "xrEndFrame=NO_SUCH_CODE"),
             ("VERGENCE_XR_CAPTURE_EVERY", "-1"),
         ] {

@@ -35,6 +35,39 @@ static TIMESTAMP: Schema = Schema {
     ],
 };
 
+/// The schema of a type by its name; `None` for a type of other rooms.
+pub(crate) fn schema_of(type_name: &str) -> Option<&'static Schema> {
+    use vergence_sense as sense;
+
+    use crate::message::Message;
+    macro_rules! find {
+        ($($t:ty),*) => {
+            [$((<$t>::NAME, <$t>::SCHEMA)),*].into_iter().find(|(name, _)| *name == type_name)
+        };
+    }
+    let found = find!(
+        sense::Pose,
+        sense::RawLocation,
+        sense::RawViews,
+        sense::RawJoints,
+        sense::HandJoints,
+        sense::Gaze,
+        sense::Button,
+        sense::Axis,
+        sense::Vector2,
+        sense::Haptic,
+        sense::Event,
+        sense::CallResult,
+        sense::FrameTiming,
+        sense::FrameHash,
+        sense::Scalar,
+        sense::Imu,
+        sense::Image<'_>,
+        Compressed<'_>
+    );
+    found.map(|(_, schema)| schema)
+}
+
 fn put_times(times: Times, out: &mut Encoder<'_>) {
     out.sfixed64(1, times.captured.as_nanos());
     out.sfixed64(2, times.arrived.as_nanos());
