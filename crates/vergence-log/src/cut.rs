@@ -96,6 +96,11 @@ pub fn cut(from: &Path, to: &Path, part: &Part, progress: &mut dyn FnMut(u64, u6
             });
         }
     }
+    // Also streams without messages, so that a part has the streams of the whole.
+    let kept_streams: Vec<_> = copier.reader.streams().filter(|info| part.has(&info.name)).cloned().collect();
+    for info in kept_streams {
+        writer.stream(0, &info, &info.name, copier.reader.schema(&info))?;
+    }
     copier.copy_facts(&mut writer)?;
     let mut note = BTreeMap::from([("of".to_owned(), from.display().to_string())]);
     for (key, instant) in [("from_ns", part.from), ("until_ns", part.until)] {

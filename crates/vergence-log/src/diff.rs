@@ -59,6 +59,9 @@ pub struct Difference {
     pub fields_count: u64,
 }
 
+/// Why what the recorder itself says is not compared.
+const OWN: &str = "the recorder's own";
+
 /// A message that waits for the other log's.
 struct Seen {
     hash: u64,
@@ -200,6 +203,9 @@ pub fn diff(a: &Path, b: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Di
         }
     }
     for (name, mut pair) in pairs {
+        if name == crate::writer::StreamRecord::OWN {
+            pair.diff.not_compared = Some(OWN);
+        }
         pair.diff.name = name;
         if pair.diff.not_compared.is_none() && pair.diff.first_difference.is_none() {
             if let Some(seen) = pair.waiting.pop_front() {
@@ -208,10 +214,11 @@ pub fn diff(a: &Path, b: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Di
             } else if pair.types[0] != pair.types[1] {
                 pair.part(None, None);
                 if let Some(difference) = &mut pair.diff.first_difference {
-                    difference.sentence = format!(
-                        "type '{}' in the first log, '{}' in the second",
-                        pair.types[0], pair.types[1]
-                    );
+                    difference.sentence = match (&*pair.types[0], &*pair.types[1]) {
+                        (_, "") => "only the first log has this stream".to_owned(),
+                        ("", _) => "only the second log has this stream".to_owned(),
+                        (a, b) => format!("type '{a}' in the first log, '{b}' in the second"),
+                    };
                 }
             }
         }
@@ -226,6 +233,6 @@ fn note(pair: &mut Pair, side: usize, entry: &Entry<'_>) {
     if entry.stream.clock() == ClockKind::Host {
         pair.diff.not_compared = Some("host time");
     } else if entry.stream.name == crate::writer::StreamRecord::OWN {
-        pair.diff.not_compared = Some("the recorder's own");
+        pair.diff.not_compared = Some(OWN);
     }
 }

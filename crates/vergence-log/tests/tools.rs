@@ -96,6 +96,13 @@ fn a_part_keeps_bits_times_and_facts() {
     while reader.next().unwrap().is_some() {}
     let names: Vec<&str> = reader.metadata().iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!((names, reader.streams().count()), (vec!["late", "vergence.cut"], 1));
+    // A part in time has every stream of the whole, also those that say nothing in it.
+    let nothing = Part { from: Some(at(i64::MAX)), ..Part::default() };
+    let empty = dir.path().join("empty.mcap");
+    assert_eq!(cut(&path, &empty, &nothing, &mut |_, _| {}).unwrap().messages, 0);
+    let mut reader = Reader::open(&empty).unwrap();
+    while reader.next().unwrap().is_some() {}
+    assert_eq!(reader.streams().count(), 4);
     let nothing = Part { streams: vec!["/dev".into()], ..Part::default() };
     assert!(matches!(cut(&path, &to, &nothing, &mut |_, _| {}), Err(Error::NoStream { .. })));
     assert!(matches!(cut(&path, &path, &part, &mut |_, _| {}), Err(Error::Request(_))));
@@ -146,6 +153,8 @@ fn a_difference_is_found_in_its_stream_and_host_time_is_none() {
     cut(&a, &short, &part, &mut |_, _| {}).unwrap();
     let short = compare(&short);
     let device = short.streams.iter().find(|stream| stream.name == "/device/x").unwrap();
+    let own = short.streams.iter().find(|stream| stream.name == "/recorder/events").unwrap();
+    assert_eq!((own.not_compared, own.first_difference.is_none()), (Some("the recorder's own"), true));
     assert!(!short.equal && device.first_difference.as_ref().unwrap().sentence.contains("only the first"));
 }
 

@@ -24,6 +24,8 @@ pub struct Comparison {
     pub images_equal: u64,
     /// Why pictures were not compared; `None` where they were.
     pub images_not_compared: Option<String>,
+    /// What else of the recording was not compared, and why.
+    pub not_compared: Vec<&'static str>,
     /// Frames of the replay after the last one of the recording. A difference where the recording has its end; one that
     /// was cut off, a part of one, and one whose runtime hung say nothing of what came then.
     pub extra_frames: u64,
@@ -167,6 +169,16 @@ impl Verifier {
 
     /// Whether all calls are alike.
     fn compare_calls(&mut self, expected: &[Said], heard: &[Said], place: impl Fn() -> String) -> bool {
+        for said in expected {
+            let what = match said {
+                Said::Joints { .. } => "the joints of the hands: the simulated headset sees none",
+                Said::Place { of: Body::Gaze, .. } => "the gaze: the simulated headset does not see it",
+                _ => continue,
+            };
+            if !self.result.not_compared.contains(&what) {
+                self.result.not_compared.push(what);
+            }
+        }
         let has_results = self.has_results;
         let is_call = |said: &&Said| match said {
             Said::Event(_) | Said::Hash(_) => false,

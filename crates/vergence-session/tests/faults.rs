@@ -204,12 +204,55 @@ enum Outcome {
     Hung,
 }
 
+/// Whether all poses and angles in a run's log of poses are those of eyes, and its times run on.
+fn is_seeable(poses: &str) -> Result<(), String> {
+    let mut last = None;
+    for line in poses.lines() {
+        let wrong = |what: &str| Err(format!("submitted {what}: {line}"));
+        let frame: serde_json::Value =
+            serde_json::from_str(line).map_err(|error| format!("{error}: {line}"))?;
+        let display = frame["predicted_display_ns"].as_i64().unwrap_or(0);
+        // From 1 s on, the simulated clock's first instant; no frame takes so long.
+        let step = display - last.replace(display).unwrap_or(1_000_000_000);
+        if !(1..=2_000_000_000).contains(&step) {
+            return wrong("a time that does not run on");
+        }
+        let eyes = frame["eyes"].as_array().cloned().unwrap_or_default();
+        if eyes.len() != 2 {
+            return wrong("no two eyes");
+        }
+        for eye in eyes {
+            let numbers = |name: &str| -> Vec<f64> {
+                let list = eye[name].as_array().cloned().unwrap_or_default();
+                list.iter().map(|number| number.as_f64().unwrap_or(f64::NAN)).collect()
+            };
+            let (pose, fov) = (numbers("pose"), numbers("fov"));
+            let ([x, y, z, q @ ..], [left, right, up, down]) = (&pose[..], &fov[..]) else {
+                return wrong("something else");
+            };
+            if !(0.0..100.0).contains(&x.hypot(*y).hypot(*z)) {
+                return wrong("a place out of the room");
+            }
+            let norm = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+            if !(0.999..1.001).contains(&norm) {
+                return wrong("a quaternion that is no rotation");
+            }
+            if !((0.1..3.1).contains(&(right - left)) && (0.1..3.1).contains(&(up - down))) {
+                return wrong("a field of view that is none");
+            }
+        }
+    }
+    Ok(())
+}
+
 /// Runs a cell on a thread of its own: the runtime is configured per thread, and what hangs is left behind.
 fn play(scene: &Arc<Scene>, profile: &std::path::Path, cell: &Cell) -> Outcome {
     let fault = Fault::parse(&cell.to_string()).unwrap();
     let plan = FaultPlan::new([fault]);
     let hang_s = if cell.what == "HANG" { HANG_S } else { 9.0 };
-    let (scene, config) = (Arc::clone(scene), config(profile, plan.clone(), hang_s));
+    let poses = profile.with_file_name(format!("{cell}.jsonl"));
+    let config = RunConfig { log_poses: Some(poses.clone()), ..config(profile, plan.clone(), hang_s) };
+    let scene = Arc::clone(scene);
     let (send, receive) = mpsc::channel();
     std::thread::spawn(move || {
         let result = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
@@ -228,8 +271,14 @@ fn play(scene: &Arc<Scene>, profile: &std::path::Path, cell: &Cell) -> Outcome {
         Ok(Err(_)) => return Outcome::Wrong("panicked".into()),
         Err(_) => return Outcome::Hung,
     };
+    let drawn = std::fs::read_to_string(&poses).unwrap_or_default();
+    std::fs::remove_file(&poses).ok();
     if plan.hits().is_empty() {
         return Outcome::Unreached;
+    }
+    // Whatever the runtime said: what was drawn with and handed over is what eyes can be, at times that run on.
+    if let Err(why) = is_seeable(&drawn) {
+        return Outcome::Wrong(why);
     }
     match result {
         Ok(report) if report.frames != FRAMES || report.state != "exiting" => {

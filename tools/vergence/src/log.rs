@@ -118,7 +118,7 @@ impl Args {
 }
 
 /// A file that is not there is a wrong call; everything else is work that failed.
-fn failed(error: &Error) -> Failure {
+pub(crate) fn failed(error: &Error) -> Failure {
     match error {
         Error::Read { source, .. } if source.kind() == std::io::ErrorKind::NotFound => Failure::call(error),
         Error::Request(_) | Error::NoStream { .. } => Failure::call(error),

@@ -63,7 +63,13 @@ impl Args {
     /// Replays the session and prints how that went.
     pub fn run(self) -> Result<(), Failure> {
         let failed = |error: vergence_session::Error| {
-            if error.is_wrong_call() { Failure::call(&error) } else { Failure::work(&error) }
+            if let vergence_session::Error::Log(error) = &error {
+                crate::log::failed(error)
+            } else if error.is_wrong_call() {
+                Failure::call(&error)
+            } else {
+                Failure::work(&error)
+            }
         };
         let headset = match self.headset {
             Headset::Openxr => HeadsetChoice::OpenXr,

@@ -43,9 +43,10 @@ pub fn open(name: &str) -> Result<Box<dyn PoseProvider>, Error> {
     if name == "still" && !is_file {
         return Ok(Box::new(Still::default()));
     }
-    let built_in = BUILT_IN_SCRIPTS
-        .iter()
-        .find(|(built_in, _)| !is_file && path.file_name().is_some_and(|file| file == *built_in));
+    let built_in = BUILT_IN_SCRIPTS.iter().find(|(built_in, _)| {
+        let stem = built_in.trim_end_matches(".toml");
+        !is_file && path.file_name().is_some_and(|file| file == *built_in || file == stem)
+    });
     if let Some((built_in, text)) = built_in {
         return Ok(Box::new(Script::parse(Path::new(built_in), text)?));
     }
