@@ -103,7 +103,7 @@ fn a_walk_through_the_colonnade_is_seen_with_two_eyes() {
     std::fs::copy(data.join("scenes/gltf/colonnade.glb"), folder.path().join("colonnade.glb"))
         .expect("a copy of the scene");
     let model = "[[model]]\nname = \"colonnade\"\nfile = \"colonnade.glb\"\n";
-    let (scene, profile) = vergence_tests::disc::write(folder.path(), model);
+    let (scene, profile) = vergence_tests::disc::write(folder.path(), model, 25.0);
     let motion = vergence_tests::checkout().join("crates/vergence-xr-sim/motions/room1.toml");
     let pictures = folder.path().join("pictures");
     let [motion, profile, capture] =
@@ -111,7 +111,7 @@ fn a_walk_through_the_colonnade_is_seen_with_two_eyes() {
     let (report, frames) = run(
         &scene,
         folder.path(),
-        &["--motion", motion, "--profile", profile, "--frames", "300", "--msaa", "1", "--capture", capture],
+        &["--motion", motion, "--profile", profile, "--frames", "300", "--capture", capture],
     );
 
     assert_eq!(report["frames"], 300, "{report}");
@@ -148,7 +148,7 @@ fn a_disc_is_seen_where_the_geometry_of_each_eye_puts_it() {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder for the run");
-    let (scene, profile) = vergence_tests::disc::write(folder.path(), "");
+    let (scene, profile) = vergence_tests::disc::write(folder.path(), "", 45.0);
     let pictures = folder.path().join("pictures");
     let [profile, capture] = [&profile, &pictures].map(|path| path.to_str().expect("a path in UTF-8"));
     let knobs = ["--frames", "60", "--capture-every", "4", "--motion", "look-around", "--validate"];
@@ -180,7 +180,7 @@ recentre = true
 /// Shows the disc for 40 frames to the user of [`RECENTRED`], and compares.
 fn recentred(faults: &[&str], floor_y_m: impl Fn(usize) -> f64) -> Vec<Located> {
     let folder = tempfile::tempdir().expect("a folder for the run");
-    let (scene, profile) = vergence_tests::disc::write(folder.path(), "");
+    let (scene, profile) = vergence_tests::disc::write(folder.path(), "", 45.0);
     let (motion, pictures) = (folder.path().join("recentred.toml"), folder.path().join("pictures"));
     std::fs::write(&motion, RECENTRED).expect("the test's own folder is writable");
     let [profile, motion, capture] =

@@ -12,21 +12,22 @@ use crate::located::{Located, located};
 const AHEAD_M: f64 = 2.0;
 /// Over the user's floor, metres.
 pub const HEIGHT_M: f64 = 1.6;
-/// 40 pixels across where [`PIXELS`] show 90 degrees.
-const RADIUS_M: f64 = 20.0 / (0.5 * PIXELS as f64) * AHEAD_M;
-const PIXELS: u32 = 512;
+/// What is one metre wide and one metre away.
+const PIXELS: f64 = 256.0;
+/// 40 pixels across.
+const RADIUS_M: f64 = 20.0 / PIXELS * AHEAD_M;
 /// Half the side of what is looked at around the disc, pixels: within the board, and larger than the disc.
 const AROUND_PX: usize = 32;
 /// How far the disc's middle in a picture may be from its projection.
 const TOLERANCE_PX: f64 = 0.1;
 
 /// Writes a scene into `folder`, where `models` (lines of a scene file) stand around the disc, and a headset whose eyes see
-/// unequal angles; gives the files' names.
+/// about `half_angle_deg` to each side; gives the files' names.
 ///
 /// # Panics
 /// When the folder cannot be written.
 #[must_use]
-pub fn write(folder: &Path, models: &str) -> (PathBuf, PathBuf) {
+pub fn write(folder: &Path, models: &str, half_angle_deg: f64) -> (PathBuf, PathBuf) {
     // The user stands at a place of no round numbers and looks along +x; the board is half a millimetre behind the disc.
     let (x, y, z) = (-10.53, 0.2, 0.11);
     let rotation = r#"rotation = { yaw = "-90 deg" }"#;
@@ -68,12 +69,17 @@ rotation = {{ yaw = "-90 deg", pitch = "90 deg" }}
     let profile = format!(
         r#"
 name = "small"
-resolution = [{PIXELS}, {PIXELS}]
+resolution = [{pixels}, {pixels}]
 rates = ["90 Hz"]
 ipd = "64 mm"
 [left]
-fov = {{ left = "-48 deg", right = "42 deg", up = "44 deg", down = "-46 deg" }}
-"#
+fov = {{ left = "{} deg", right = "{} deg", up = "{} deg", down = "{} deg" }}
+"#,
+        -half_angle_deg - 3.0,
+        half_angle_deg - 3.0,
+        half_angle_deg - 1.0,
+        -half_angle_deg - 1.0,
+        pixels = (2.0 * PIXELS * half_angle_deg.to_radians().tan()) as u32,
     );
     let files = (folder.join("disc.toml"), folder.join("small.toml"));
     std::fs::write(&files.0, scene).expect("the test's own folder is writable");
