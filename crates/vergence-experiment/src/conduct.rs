@@ -86,6 +86,16 @@ impl Conduct {
         &self.course
     }
 
+    /// Pseudonym.
+    pub fn participant(&self) -> &str {
+        &self.participant
+    }
+
+    /// Trials that this sitting has added so far.
+    pub fn written(&self) -> u64 {
+        self.journal.written()
+    }
+
     /// The study.
     pub fn study(&self) -> &Study {
         self.course.study()

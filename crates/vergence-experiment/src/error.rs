@@ -30,6 +30,20 @@ pub enum Error {
     /// The log cannot be written or read.
     #[error(transparent)]
     Log(#[from] vergence_log::Error),
+    /// The headset, or what draws in it.
+    #[error(transparent)]
+    Session(Box<vergence_session::Error>),
+    /// The simulated person.
+    #[error(transparent)]
+    Person(#[from] vergence_sim::Error),
+    /// The simulated person does not get on.
+    #[error(
+        "the simulated person has ended no trial for {seconds:.0} s: expected one that finds its targets"
+    )]
+    Lost {
+        /// Since when.
+        seconds: f64,
+    },
 }
 
 impl Error {
@@ -39,6 +53,16 @@ impl Error {
 
     /// Whether the call was wrong, rather than the work.
     pub fn is_wrong_call(&self) -> bool {
-        matches!(self, Self::Call(_))
+        match self {
+            Self::Call(_) => true,
+            Self::Session(error) => error.is_wrong_call(),
+            _ => false,
+        }
+    }
+}
+
+impl From<vergence_session::Error> for Error {
+    fn from(error: vergence_session::Error) -> Self {
+        Self::Session(Box::new(error))
     }
 }

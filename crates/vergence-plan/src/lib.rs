@@ -17,12 +17,14 @@ pub struct Requests {
     pub hand_joints: bool,
     /// Where the user looks is wanted, as a stream.
     pub eye_gaze: bool,
+    /// What the hands do is wanted, also where nothing can be touched.
+    pub hands: bool,
 }
 
 impl Default for Requests {
     /// Normal maps, no further streams.
     fn default() -> Self {
-        Self { normal_maps: true, hand_joints: false, eye_gaze: false }
+        Self { normal_maps: true, hand_joints: false, eye_gaze: false, hands: false }
     }
 }
 
@@ -129,7 +131,7 @@ impl Plan {
     pub fn of(scene: &Scene, requests: &Requests) -> Self {
         let needs = Needs::of(scene, requests.normal_maps);
         let draws = !needs.surfaces.is_empty() || needs.text;
-        let touchable = !scene.touchables.is_empty();
+        let touchable = requests.hands || !scene.touchables.is_empty();
         let mut plan = Self { needs, ..Self::default() };
 
         if plan.needs.skinning {

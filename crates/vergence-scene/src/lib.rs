@@ -18,7 +18,7 @@ mod picture;
 mod ply;
 mod polygon;
 pub mod scene_file;
-mod shapes;
+pub mod shapes;
 mod surface;
 pub mod text;
 

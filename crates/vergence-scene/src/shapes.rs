@@ -7,7 +7,7 @@ use crate::model::Primitive;
 use crate::surface::{self, Smoothing};
 
 /// A box with its middle at the origin; `size` in metres.
-pub(crate) fn cuboid(size: [f32; 3]) -> Primitive {
+pub fn cuboid(size: [f32; 3]) -> Primitive {
     let half = size.map(|s| 0.5 * s);
     let mut primitive = Primitive::default();
     for axis in 0..3 {
@@ -36,7 +36,7 @@ pub(crate) fn cuboid(size: [f32; 3]) -> Primitive {
 }
 
 /// A rectangle in the x-y plane, seen from +z; metres.
-pub(crate) fn rectangle(width: f32, height: f32) -> Primitive {
+pub fn rectangle(width: f32, height: f32) -> Primitive {
     let (x, y) = (0.5 * width, 0.5 * height);
     let mut primitive = Primitive::default();
     add_quad(
@@ -63,7 +63,7 @@ fn add_quad(
 
 /// What `profile` (distance from the axis and height, metres; from bottom to top on the outside) sweeps about the y
 /// axis. Edges sharper than [`surface::Smoothing::ByAngle`] allows stay edges.
-pub(crate) fn lathe(profile: &[[f32; 2]], segments: u32) -> Primitive {
+pub fn lathe(profile: &[[f32; 2]], segments: u32) -> Primitive {
     let mut primitive = Primitive::default();
     // The point that a vertex stands on: the seam's two ends are one, as is each end on the axis.
     let mut point = Vec::new();
@@ -99,7 +99,7 @@ pub(crate) fn lathe(profile: &[[f32; 2]], segments: u32) -> Primitive {
 }
 
 /// The profile of a ball; metres.
-pub(crate) fn sphere(radius: f32, segments: u32) -> Primitive {
+pub fn sphere(radius: f32, segments: u32) -> Primitive {
     let rings = (segments / 2).max(3);
     let profile: Vec<[f32; 2]> = (0..=rings)
         .map(|i| {
@@ -116,7 +116,7 @@ pub(crate) fn sphere(radius: f32, segments: u32) -> Primitive {
 }
 
 /// The profile of a cylinder that stands on y = 0; metres.
-pub(crate) fn cylinder(radius: f32, height: f32, segments: u32) -> Primitive {
+pub fn cylinder(radius: f32, height: f32, segments: u32) -> Primitive {
     lathe(&[[0.0, 0.0], [radius, 0.0], [radius, height], [0.0, height]], segments)
 }
 

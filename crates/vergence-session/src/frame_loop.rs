@@ -15,6 +15,7 @@ use crate::book::{self, Book};
 use crate::capture::Picture;
 use crate::desk::Desk;
 use crate::error::{Error, with_cause};
+use crate::guest::{self, Stage};
 use crate::headset::Chosen;
 use crate::markers::Markers;
 use crate::place;
@@ -356,7 +357,8 @@ fn is_over(run: &Run<'_>) -> bool {
         // When the application left is part of the recording.
         return again.replay.takes_exit_request();
     }
-    run.config.frames.is_some_and(|frames| run.tally.frames >= frames)
+    run.guest_leaves
+        || run.config.frames.is_some_and(|frames| run.tally.frames >= frames)
         || run.config.seconds.is_some_and(|seconds| run.tally.elapsed().as_secs_f64() >= seconds)
 }
 
@@ -609,6 +611,11 @@ fn follow_user(
         if let Some(markers) = &session.markers {
             markers.follow(&mut session.renderer, touching);
         }
+    }
+    if let Some(guest) = &mut run.guest {
+        let now = guest::moment(&session.client, &world_from_local, head, display, frame.prediction.period);
+        let mut stage = Stage { renderer: &mut session.renderer, client: &mut session.client };
+        run.guest_leaves |= !guest.follow(&now, &mut stage);
     }
     Ok(nalgebra::Translation3::from(session.walked) * placed)
 }

@@ -18,6 +18,7 @@ use crate::config::{HeadsetChoice, RunConfig};
 use crate::desk::Desk;
 use crate::error::Error;
 use crate::frame_loop::{self, End};
+use crate::guest::Guest;
 use crate::headset::{self, Handed};
 use crate::markers::with_markers;
 use crate::place;
@@ -70,6 +71,10 @@ pub(crate) struct Run<'a> {
     pub(crate) again: Option<Again>,
     pub(crate) report: RunReport,
     pub(crate) watch: &'a mut dyn FnMut(Happening<'_>),
+    /// Who takes part.
+    pub(crate) guest: Option<&'a mut dyn Guest>,
+    /// The guest wants the run to end.
+    pub(crate) guest_leaves: bool,
 }
 
 /// Makes the comparison for a device of this name.
@@ -122,7 +127,21 @@ pub fn run(
     config: &RunConfig,
     watch: &mut dyn FnMut(Happening<'_>),
 ) -> Result<RunReport, Error> {
-    let Lived { report, ended, .. } = whole(scene, config, None, watch)?;
+    let Lived { report, ended, .. } = whole(scene, config, None, None, watch)?;
+    ended.map(|()| report)
+}
+
+/// As [`run`], with somebody who takes part: hands are read, and the guest changes what is shown.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_with(
+    scene: &Arc<Scene>,
+    config: &RunConfig,
+    guest: &mut dyn Guest,
+    watch: &mut dyn FnMut(Happening<'_>),
+) -> Result<RunReport, Error> {
+    let Lived { report, ended, .. } = whole(scene, config, None, Some(guest), watch)?;
     ended.map(|()| report)
 }
 
@@ -133,7 +152,7 @@ pub(crate) fn run_again(
     again: Again,
     watch: &mut dyn FnMut(Happening<'_>),
 ) -> Result<Lived, Error> {
-    whole(scene, config, Some(again), watch)
+    whole(scene, config, Some(again), None, watch)
 }
 
 /// What came of a run.
@@ -145,11 +164,12 @@ pub(crate) struct Lived {
     pub(crate) ended: Result<(), Error>,
 }
 
-fn whole(
+fn whole<'a>(
     scene: &Arc<Scene>,
     config: &RunConfig,
     again: Option<Again>,
-    watch: &mut dyn FnMut(Happening<'_>),
+    mut guest: Option<&'a mut dyn Guest>,
+    watch: &'a mut dyn FnMut(Happening<'_>),
 ) -> Result<Lived, Error> {
     check(config)?;
     check_recording(scene, config)?;
@@ -157,6 +177,7 @@ fn whole(
         normal_maps: config.quality.normal_maps,
         hand_joints: config.hand_joints,
         eye_gaze: config.eye_gaze,
+        hands: guest.is_some(),
     };
     let capture = config.capture.as_ref().map(|c| Capture::start(c, config.frames)).transpose()?;
     let pose_log = config.log_poses.as_deref().map(PoseLog::create).transpose()?;
@@ -171,13 +192,15 @@ fn whole(
         capture,
         pose_log,
         desk: if config.window { Some(Desk::open()?) } else { None },
-        motion: None,
+        motion: guest.as_mut().and_then(|guest| guest.wearer()),
         session_time: None,
         book: None,
         has_booked: false,
         again,
         report: RunReport { warnings: scene.warnings.clone(), ..RunReport::default() },
         watch,
+        guest,
+        guest_leaves: false,
     };
     let result = sessions(&mut run);
     if let Some(book) = &mut run.book {

@@ -35,6 +35,7 @@ impl Args {
             normal_maps: !self.no_normal_maps,
             hand_joints: self.with.contains(&Stream::Hands),
             eye_gaze: self.with.contains(&Stream::Gaze),
+            ..Requests::default()
         };
         let plan = Plan::of(&scene, &requests);
         let report = plan.report();

@@ -109,7 +109,7 @@ pub enum Headset {
 }
 
 /// Lets Ctrl-C and a request to terminate end the run as it should; a second one ends the process at once.
-fn stop_on_signals(stop: &vergence_session::Stop) -> Result<(), Failure> {
+pub fn stop_on_signals(stop: &vergence_session::Stop) -> Result<(), Failure> {
     for signal in [SIGINT, SIGTERM] {
         // In this order: a signal that comes while the switch is on already does not wait.
         signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, stop.switch())

@@ -1,4 +1,7 @@
-//! `vergence study`: study files, recordings of other tools, analysis, report.
+//! `vergence study`: study files, sittings, recordings of other tools, analysis, report.
+
+mod run;
+mod status;
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -30,15 +33,19 @@ enum What {
     New(New),
     /// Says what is wrong with a study file, and how many trials, minutes and participants it means
     Check(Check),
+    Run(Box<run::Run>),
+    Status(status::Status),
+    Delete(status::Delete),
     /// Effective measures, throughput, paths, speed against accuracy
     ///
+    /// A study's folder, or logs of sittings (.mcap), by the conventions that they name.
     /// Recordings of FittsStudy (.csv, .txt, .xml), 3DFitts (.json), GoFitts (.sd3) and tables with a column map are
     /// told apart by their content and analysed by the conventions of their tool, which the options replace one by one.
     /// Tables above 64 MiB are analysed in one pass.
     Analyze(Analyze),
     /// One self-contained HTML page: plots, tables, methods, exclusions
     Report(Report),
-    /// Turns recordings of another tool into a table of trials that needs no map
+    /// Turns recordings of another tool into a log, or into a table of trials that needs no map
     Import(Import),
 }
 
@@ -48,6 +55,9 @@ impl Args {
         match self.what {
             What::New(verb) => verb.run(),
             What::Check(verb) => verb.run(),
+            What::Run(verb) => verb.run(),
+            What::Status(verb) => verb.run(),
+            What::Delete(verb) => verb.run(),
             What::Analyze(verb) => verb.run(),
             What::Report(verb) => verb.run(),
             What::Import(verb) => verb.run(),
@@ -248,6 +258,9 @@ impl Input {
 
     fn read(&self) -> Result<Found, Failure> {
         let files = files_of(&self.inputs)?;
+        if files.iter().any(|file| is_log(file)) {
+            return self.read_logs(&files);
+        }
         let in_file = |file: &Path, error: &Error| {
             let text = error.to_string();
             // As compilers do it, so that editors find the place.
@@ -285,6 +298,23 @@ impl Input {
             parts.push(import(tool, &name, &text_of(file)?, &map).map_err(|error| in_file(file, &error))?);
         }
         let mut all = together(parts).map_err(|error| Failure::Work(error.to_string()))?;
+        all.conventions = self.conventions(all.conventions)?;
+        Ok(Found::Trials(all))
+    }
+
+    fn read_logs(&self, files: &[PathBuf]) -> Result<Found, Failure> {
+        if let Some(other) = files.iter().find(|file| !is_log(file)) {
+            return Err(Failure::Call(format!(
+                "expected logs (.mcap) or recordings of another tool, found both ({} among logs)",
+                other.display()
+            )));
+        }
+        let bar = ProgressBar::new(files.len() as u64);
+        let logs: Result<Vec<_>, _> =
+            files.iter().inspect(|_| bar.inc(1)).map(|file| vergence_experiment::read(file)).collect();
+        bar.finish_and_clear();
+        let logs = logs.map_err(|error| Failure::work(&error))?;
+        let mut all = vergence_experiment::imported(&logs).map_err(|error| Failure::work(&error))?;
         all.conventions = self.conventions(all.conventions)?;
         Ok(Found::Trials(all))
     }
@@ -457,16 +487,17 @@ struct Import {
     from: ToolName,
     #[command(flatten)]
     input: Input,
-    /// Table of trials to write (.csv); its conventions go to a .toml beside it
+    /// Log to write (.mcap), or a table of trials (.csv), whose conventions go to a .toml beside it
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 }
 
 impl Import {
     fn run(mut self) -> Result<(), Failure> {
-        if self.output.extension().is_none_or(|extension| extension != "csv") {
+        let is_table = self.output.extension().is_some_and(|extension| extension == "csv");
+        if !is_table && !is_log(&self.output) {
             return Err(Failure::Call(format!(
-                "expected an output that ends in .csv, found {}",
+                "expected an output that ends in .mcap or .csv, found {}",
                 self.output.display()
             )));
         }
@@ -482,8 +513,14 @@ impl Import {
         for note in &all.warnings {
             log::warn!("{note}");
         }
-        write(&self.output, &trials_csv(&analyse_trials(&all.data, &all.conventions)))?;
-        write(&self.output.with_extension("toml"), &map_of(&all))?;
+        if is_table {
+            write(&self.output, &trials_csv(&analyse_trials(&all.data, &all.conventions)))?;
+            write(&self.output.with_extension("toml"), &map_of(&all))?;
+        } else {
+            let application = concat!("vergence ", env!("CARGO_PKG_VERSION"));
+            vergence_experiment::write_log(&self.output, &all, application)
+                .map_err(|error| Failure::work(&error))?;
+        }
         println!("{}: {} trials", self.output.display(), all.data.trials.len());
         Ok(())
     }
@@ -509,20 +546,26 @@ fn files_of(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
             files.push(input.clone());
             continue;
         }
+        if input.join("manifest.json").is_file() {
+            let folder = vergence_experiment::Folder::open(input).map_err(|error| Failure::work(&error))?;
+            let logs = folder.sittings().iter().map(|sitting| input.join(&sitting.file));
+            files.extend(logs.filter(|log| log.is_file()));
+            continue;
+        }
         let unreadable = |error: std::io::Error| Failure::Call(format!("{}: {error}", input.display()));
         let mut own = Vec::new();
         for entry in std::fs::read_dir(input).map_err(unreadable)? {
             let path = entry.map_err(unreadable)?.path();
             let known = path
                 .extension()
-                .is_some_and(|own| ["csv", "json", "xml", "sd3", "txt"].iter().any(|e| own == *e));
+                .is_some_and(|own| ["csv", "json", "xml", "sd3", "txt", "mcap"].iter().any(|e| own == *e));
             if known && path.is_file() {
                 own.push(path);
             }
         }
         if own.is_empty() {
             return Err(Failure::Call(format!(
-                "{}: expected recordings (.csv, .json, .xml, .sd3, .txt), found none",
+                "{}: expected recordings (.csv, .json, .xml, .sd3, .txt, .mcap), found none",
                 input.display()
             )));
         }
@@ -530,6 +573,10 @@ fn files_of(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         files.extend(own);
     }
     Ok(files)
+}
+
+fn is_log(file: &Path) -> bool {
+    file.extension().is_some_and(|own| own == "mcap")
 }
 
 fn head_of(file: &Path) -> std::io::Result<String> {
