@@ -33,6 +33,15 @@ pub enum Error {
     /// The headset, or what draws in it.
     #[error(transparent)]
     Session(Box<vergence_session::Error>),
+    /// The window.
+    #[error(transparent)]
+    Window(#[from] vergence_window::Error),
+    /// What draws in the window.
+    #[error(transparent)]
+    Gpu(#[from] vergence_gpu::Error),
+    /// As above.
+    #[error(transparent)]
+    Render(Box<vergence_render::Error>),
     /// The simulated person.
     #[error(transparent)]
     Person(#[from] vergence_sim::Error),
@@ -58,6 +67,12 @@ impl Error {
             Self::Session(error) => error.is_wrong_call(),
             _ => false,
         }
+    }
+}
+
+impl From<vergence_render::Error> for Error {
+    fn from(error: vergence_render::Error) -> Self {
+        Self::Render(Box::new(error))
     }
 }
 

@@ -4,6 +4,7 @@
 mod conduct;
 mod course;
 mod date;
+mod desktop;
 mod error;
 mod folder;
 mod headset;
@@ -18,6 +19,7 @@ mod wearer;
 
 pub use conduct::{Conduct, Ended};
 pub use course::{Course, Goal, Reading, Showing, Step};
+pub use desktop::{OnDesktop, on_desktop, window_size};
 pub use error::Error;
 pub use folder::{Deleted, Folder, Sitting, State};
 pub use headset::{InHeadset, check, in_headset};

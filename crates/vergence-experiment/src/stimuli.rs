@@ -81,7 +81,7 @@ impl Stimuli {
                 Primitive { material, ..shapes::cuboid([1.0; 3]) }
             }
             (_, true) => upright(Primitive { material, ..shapes::cylinder(0.5, 0.001, 64) }),
-            (_, false) => Primitive { material, ..shapes::sphere(0.5, 24) },
+            (_, false) => Primitive { material, ..shapes::sphere(0.5, 20) },
         };
         let add = |scene: &mut Scene, name: &str, primitive: Primitive| {
             scene.meshes.push(Mesh { name: name.into(), primitives: vec![primitive] });

@@ -74,7 +74,7 @@ impl Visible {
             }
         }
         for (index, (centre, radius_m)) in labels.iter().enumerate() {
-            if frustum.may_see_ball(centre, *radius_m) {
+            if *radius_m >= 0.0 && frustum.may_see_ball(centre, *radius_m) {
                 self.blended.push(((centre - middle).norm(), Item::Label(index as u32)));
             }
         }

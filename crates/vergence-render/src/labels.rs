@@ -112,13 +112,14 @@ impl Labels {
         }))
     }
 
-    /// A ball around each label, world coordinates.
-    pub fn find_balls(&self, world: &WorldTransforms, balls: &mut Vec<(Point3<f64>, f64)>) {
+    /// A ball around each label, world coordinates; of a negative radius where its node is hidden.
+    pub fn find_balls(&self, world: &WorldTransforms, hidden: &[bool], balls: &mut Vec<(Point3<f64>, f64)>) {
         balls.clear();
         balls.extend(self.all.iter().map(|label| {
             let world_from_node = &world.world_from_node[label.node];
             let scale = largest_scale(world_from_node);
-            (Point3::from(world_from_node.translation), scale * label.radius_m)
+            let radius_m = if hidden[label.node] { f64::NEG_INFINITY } else { scale * label.radius_m };
+            (Point3::from(world_from_node.translation), radius_m)
         }));
     }
 

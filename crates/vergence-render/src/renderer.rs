@@ -290,7 +290,7 @@ impl Renderer {
         self.pose.place(node, parent_from_node);
     }
 
-    /// Whether the mesh of a node is drawn, from the next frame on; at first, all are. Labels stay.
+    /// Whether the mesh or label of a node is drawn, from the next frame on; at first, all are.
     pub fn show(&mut self, node: usize, shown: bool) {
         if let Some(hidden) = self.pose.hidden.get_mut(node) {
             *hidden = !shown;
@@ -318,7 +318,7 @@ impl Renderer {
         self.slots[slot].commands.wait()?;
         self.pose.update(&self.scene, &self.meshes, animation_time);
         if let Some(labels) = &self.labels {
-            labels.find_balls(&self.pose.world, &mut self.label_balls);
+            labels.find_balls(&self.pose.world, &self.pose.hidden, &mut self.label_balls);
         }
         self.visible.find(&self.meshes, &self.pose, &self.label_balls, cull_views, &self.quality);
         if let Some(skinning) = &self.skinning {

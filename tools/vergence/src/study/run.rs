@@ -5,9 +5,14 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use vergence_experiment::{About, Conduct, Error, Folder, InHeadset, Input, check, in_headset};
-use vergence_session::{CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig};
-use vergence_study::Conventions;
+use vergence_experiment::{
+    About, Conduct, Ended, Error, Folder, InHeadset, Input, OnDesktop, check, in_headset, on_desktop,
+    window_size,
+};
+use vergence_session::{
+    CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig, RunReport,
+};
+use vergence_study::{Conventions, Study};
 
 use crate::failure::Failure;
 use crate::run::stop_on_signals;
@@ -39,6 +44,9 @@ pub struct Run {
     /// Ends after so many trials; --resume goes on
     #[arg(long, value_name = "N")]
     most_trials: Option<u64>,
+    /// Desktop: pixels per inch of the screen, so that sizes are as the study says
+    #[arg(long, value_name = "PIXELS", default_value_t = 96.0)]
+    dpi: f64,
     /// Simulated headset: nobody looks (shouldRender is false): nothing is drawn, all else is the same
     #[arg(long)]
     no_pictures: bool,
@@ -100,17 +108,25 @@ impl Run {
         if !self.study.is_file() {
             return Err(Failure::Call(format!("{}: no such study file", self.study.display())));
         }
-        if self.headset == Headset::Desktop {
-            return Err(Failure::Call("--headset desktop: not yet".to_owned()));
-        }
         let how = InHeadset {
             run: self.config()?,
             input: input.clone(),
             pictures: !self.no_pictures,
             most_trials: self.most_trials,
         };
+        let desktop = OnDesktop {
+            input: input.clone(),
+            dpi: self.dpi,
+            most_trials: self.most_trials,
+            stop: how.run.stop.clone(),
+        };
+        let is_desktop = self.headset == Headset::Desktop;
+        // Before a folder is made, that the study can be done so.
+        let text = super::text_of(&self.study)?;
+        let study = Study::parse(&self.study, &text).map_err(|error| Failure::Work(error.to_string()))?;
+        let checked = if is_desktop { window_size(&study, &desktop).map(drop) } else { check(&study, &how) };
+        checked.map_err(|error| failed(&error))?;
         let folder = Folder::create(&data, &self.study).map_err(|error| failed(&error))?;
-        check(folder.study(), &how).map_err(|error| failed(&error))?;
         let headset = match self.headset {
             Headset::Openxr => "openxr",
             Headset::Simulated => "simulated",
@@ -128,10 +144,16 @@ impl Run {
             }
             .to_owned(),
             conventions: Conventions::default(),
+            notes: if is_desktop {
+                [("dpi".to_owned(), self.dpi.to_string())].into()
+            } else {
+                Default::default()
+            },
             ..About::default()
         };
         stop_on_signals(&how.run.stop)?;
-        let conduct = Conduct::begin(folder, about, self.resume, false).map_err(|error| failed(&error))?;
+        let conduct =
+            Conduct::begin(folder, about, self.resume, is_desktop).map_err(|error| failed(&error))?;
         let bar = bar(conduct.course().progress());
         let shown = bar.clone();
         let mut watch = |happening: Happening<'_>| {
@@ -139,16 +161,26 @@ impl Run {
                 shown.suspend(|| eprintln!("{sentence}"));
             }
         };
-        let ran = in_headset(conduct, &how, &mut watch, &mut |done, _| bar.set_position(done as u64));
+        let mut progress = |done: usize, _: usize| bar.set_position(done as u64);
+        let ran: Result<(Ended, Option<RunReport>), Error> = if is_desktop {
+            on_desktop(conduct, &desktop, &mut progress).map(|ended| (ended, None))
+        } else {
+            in_headset(conduct, &how, &mut watch, &mut progress).map(|(ended, report)| (ended, Some(report)))
+        };
         bar.finish_and_clear();
         let (ended, report) = ran.map_err(|error| failed(&error))?;
         if self.json {
+            let session = report.map(|report| {
+                json!({
+                    "headset": report.headset, "frames": report.frames, "paced": report.paced,
+                    "seconds": report.seconds, "device": report.device, "warnings": report.warnings,
+                })
+            });
             let object = json!({
                 "participant": ended.participant, "log": ended.log, "trials": ended.trials,
                 "done": ended.progress.0, "planned": ended.progress.1, "finished": ended.finished, "why": ended.why,
                 "interrupted": ended.interrupted, "disk_ms": {"median": ended.disk_ms.0, "longest": ended.disk_ms.1},
-                "headset": report.headset, "frames": report.frames, "paced": report.paced, "seconds": report.seconds,
-                "device": report.device, "warnings": report.warnings,
+                "session": session,
             });
             println!("{object}");
         } else {
