@@ -1,0 +1,440 @@
+//! A study from its template to its report, with simulated people: in the simulated headset and in a window; and what becomes
+//! of it when the power goes, the session is lost, or the headset is taken off.
+
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use vergence_study::{Study, TEMPLATE};
+use vergence_tests::{checkout, last_object, skip, vergence};
+
+/// Processor time that the whole study may take, seconds.
+const MOST_CPU_S: f64 = 300.0;
+/// The report's throughput against a computation in another language.
+const SAME: f64 = 1e-9;
+const PATIENCE: Duration = Duration::from_secs(120);
+
+fn tool(folder: &Path, arguments: &[&str]) -> Output {
+    let output = Command::new(vergence()).current_dir(folder).args(arguments).output();
+    output.expect("the tool runs")
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
+}
+
+fn done(folder: &Path, arguments: &[&str]) -> Value {
+    let output = tool(folder, arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", said(&output));
+    last_object(&String::from_utf8_lossy(&output.stdout)).unwrap_or(Value::Null)
+}
+
+fn has_vulkan(folder: &Path) -> bool {
+    let output = tool(folder, &["doctor", "--json"]);
+    let found = last_object(&String::from_utf8_lossy(&output.stdout));
+    let devices = found.as_ref().and_then(|object| object["vulkan"]["devices"].as_array().map(Vec::len));
+    // What doctor does not say is found out by trying.
+    devices != Some(0)
+}
+
+/// The simulated headset with few pixels: lavapipe draws them on the processor.
+fn small_headset(folder: &Path) {
+    let full = std::fs::read_to_string(checkout().join("crates/vergence-xr-sim/headsets/default.toml"))
+        .expect("the default headset is a file");
+    let line = full.lines().find(|line| line.starts_with("resolution")).expect("it has a resolution");
+    std::fs::write(folder.join("small.toml"), full.replace(line, "resolution = [64, 64]"))
+        .expect("a folder to write to");
+}
+
+/// A study of 20 trials.
+fn small_study(folder: &Path) -> PathBuf {
+    let text = TEMPLATE
+        .replace("targets = 15", "targets = 5")
+        .replace("per_condition = 15", "per_condition = 5")
+        .replace("[\"0.15 m\", \"0.25 m\", \"0.35 m\"]", "[\"0.1 m\", \"0.2 m\"]")
+        .replace("[\"0.01 m\", \"0.02 m\", \"0.03 m\", \"0.04 m\"]", "[\"0.02 m\", \"0.03 m\"]")
+        .replace("repeat_above_error = 0.4\n", "");
+    // One instruction.
+    let (first, rest) = text.split_once("[[instructions]]").expect("the template has instructions");
+    let after = rest.split_once("[prediction]").expect("and a prediction").1;
+    let path = folder.join("study.toml");
+    std::fs::write(&path, format!("{first}[prediction]{after}")).expect("a folder to write to");
+    path
+}
+
+/// Processor time of all processes that this one has waited for, seconds: from /proc/self/stat.
+fn children_cpu_s() -> f64 {
+    let Ok(text) = std::fs::read_to_string("/proc/self/stat") else { return 0.0 };
+    // Behind the name, which may hold anything: state is field 3, cutime and cstime are 16 and 17, in hundredths.
+    let fields: Vec<&str> = text.rsplit(')').next().unwrap_or("").split_whitespace().collect();
+    let ticks = |field: usize| fields.get(field - 3).and_then(|text| text.parse::<f64>().ok()).unwrap_or(0.0);
+    (ticks(16) + ticks(17)) / 100.0
+}
+
+#[test]
+fn a_study_of_twelve_from_template_to_report() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let here = dir.path();
+    if !has_vulkan(here) {
+        return skip("vulkan", "no device draws");
+    }
+    small_headset(here);
+    let _ = vergence();
+    let before = children_cpu_s();
+    done(here, &["study", "new", "s.toml"]);
+    for number in 1..=12 {
+        let name = format!("P{number:02}");
+        let mut arguments = vec!["study", "run", "s.toml", "--participant", &name, "--headset", "simulated"];
+        arguments.extend(["--input", "simulated:7", "--profile", "small.toml", "--msaa", "1", "--json"]);
+        if number > 1 {
+            arguments.push("--no-pictures");
+        }
+        let ran = done(here, &arguments);
+        assert_eq!((&ran["finished"], &ran["done"]), (&true.into(), &540.into()), "{ran}");
+        assert!(ran["trials"].as_u64() >= Some(540), "{ran}");
+        let (frames, paced) = (ran["session"]["frames"].as_u64(), ran["session"]["paced"].as_u64());
+        assert!(paced > Some(20_000) && (number == 1) == (frames > Some(20_000)), "{ran}");
+    }
+    let status = done(here, &["study", "status", "s.data", "--json"]);
+    let people = status["participants"].as_array().expect("participants");
+    assert!(people.len() == 12 && people.iter().all(|one| one["finished"] == true), "{status}");
+
+    let found = done(here, &["study", "analyze", "s.data", "--json", "--csv", "tables"]);
+    let summary = &found["summary"];
+    assert_eq!((&summary["participants"], &summary["sequences"]), (&12.into(), &432.into()), "{summary}");
+    assert_eq!(summary["trials"], 12 * 540);
+    let tp = summary["tp_mean_of_means"].as_f64().expect("a throughput");
+    // People of 4.4 bits/s whom Fitts' law holds for, and who trade speed for accuracy.
+    assert!((3.5..5.5).contains(&tp) && summary["r"].as_f64() > Some(0.8), "{summary}");
+    let levels = summary["instructions"]["levels"].as_array().expect("instructions");
+    let of = |name: &str, what: &str| {
+        levels
+            .iter()
+            .find(|level| level["instruction"] == name)
+            .and_then(|level| level[what].as_f64())
+            .expect("a level")
+    };
+    assert!(
+        of("fast", "mt_s") < of("balanced", "mt_s") && of("balanced", "mt_s") < of("accurate", "mt_s"),
+        "{levels:?}"
+    );
+    assert!(of("fast", "error_rate") > of("accurate", "error_rate"), "{levels:?}");
+
+    done(here, &["study", "report", "s.data", "-o", "report.html"]);
+    let cpu_s = children_cpu_s() - before;
+    println!(
+        "the whole study took {cpu_s:.0} s of processor time (at most {MOST_CPU_S}); throughput {tp:.4} bits/s"
+    );
+    assert!(cpu_s < MOST_CPU_S, "{cpu_s} s");
+
+    let html = std::fs::read_to_string(here.join("report.html")).expect("the report is there");
+    throughput_is_pythons(here, &html, tp);
+    chromium_opens(here, &html);
+}
+
+/// The exact value behind the cell of all sequences in the first table.
+fn reported_throughput(html: &str) -> f64 {
+    let row = html.split("<tr class=\"marked\">").nth(1).expect("a row for all");
+    let cell = row.split("data-value=\"").nth(2).expect("sequences, then throughput");
+    cell.split('"').next().expect("a value").parse().expect("a number")
+}
+
+fn throughput_is_pythons(here: &Path, html: &str, tp: f64) {
+    let script = checkout().join("tests/study_throughput.py");
+    let Ok(output) = Command::new("python3").arg(script).arg(here.join("tables/trials.csv")).output() else {
+        return skip("python", "no python3");
+    };
+    assert!(output.status.success(), "{}", said(&output));
+    let theirs: Value = serde_json::from_slice(&output.stdout).expect("an object");
+    let (theirs_tp, reported) = (theirs["tp"].as_f64().expect("a number"), reported_throughput(html));
+    println!("throughput: report {reported}, analysis {tp}, Python {theirs_tp}");
+    assert_eq!(theirs["sequences"], 432);
+    assert!((reported - theirs_tp).abs() < SAME && (tp - theirs_tp).abs() < SAME);
+}
+
+/// Opens the page as a reader does, presses the heads of columns, and tells what happened.
+fn chromium_opens(here: &Path, html: &str) {
+    const PROBE: &str = "<script>
+        const trouble = []; addEventListener('error', e => trouble.push(e.message));
+        addEventListener('securitypolicyviolation', e => trouble.push(e.blockedURI));
+        addEventListener('load', () => {
+          const values = table => [...table.tBodies[0].rows].map(row => Number(row.cells[2].dataset.value));
+          const table = document.querySelector('table'), head = table.tHead.rows[0].cells[2].querySelector('button');
+          head.click(); const up = values(table); head.click(); const down = values(table);
+          const ascends = list => list.every((v, i) => i === 0 || list[i - 1] <= v);
+          const sorted = ascends(up) && ascends([...down].reverse()) && up.length > 3;
+          const wide = document.documentElement.scrollWidth <= innerWidth;
+          const told = {plots: document.querySelectorAll('figure svg').length, sorted, wide, trouble,
+            loads: performance.getEntriesByType('resource').length};
+          const place = document.createElement('pre'); place.id = 'probe'; place.textContent = JSON.stringify(told);
+          document.body.append(place);
+        });</script>";
+    let page = here.join("probe.html");
+    std::fs::write(&page, html.replacen("</head>", &format!("{PROBE}</head>"), 1))
+        .expect("a folder to write to");
+    for (what, size) in [("desktop", "1280,1600"), ("phone", "390,844")] {
+        let run = Command::new("chromium")
+            .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--no-first-run"])
+            .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
+            .args(["--enable-logging=stderr", "--virtual-time-budget=3000", "--dump-dom"])
+            .arg(format!("--window-size={size}"))
+            .arg(format!("--user-data-dir={}", here.join(what).display()))
+            .arg(format!("file://{}", page.display()))
+            .output();
+        let Ok(output) = run else { return skip("chromium", "it is not installed") };
+        let (dom, log) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+        let told = dom.split("<pre id=\"probe\">").nth(1).and_then(|rest| rest.split("</pre>").next());
+        let told: Value =
+            told.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_else(|| panic!("{what}: {log}"));
+        println!("report at {size} px: {told}");
+        assert!(told["plots"].as_u64() >= Some(2) && told["sorted"] == true, "{told}");
+        assert!(told["trouble"].as_array().is_some_and(Vec::is_empty) && told["loads"] == 0, "{told}");
+        assert!(!log.contains("CONSOLE"), "{log}");
+        assert_eq!(told["wide"], true, "the page is wider than the screen: {told}");
+    }
+}
+
+fn status_of(here: &Path) -> Value {
+    let output = tool(here, &["study", "status", "study.data", "--json"]);
+    last_object(&String::from_utf8_lossy(&output.stdout)).unwrap_or_else(|| panic!("{}", said(&output)))
+}
+
+fn run_of(more: &[&'static str]) -> Vec<&'static str> {
+    let mut all =
+        vec!["study", "run", "study.toml", "--participant", "P01", "--headset", "simulated", "--json"];
+    all.extend(["--profile", "small.toml", "--msaa", "1"]);
+    all.extend(more);
+    all
+}
+
+fn prepared() -> Option<tempfile::TempDir> {
+    let dir = tempfile::tempdir().expect("a folder");
+    if !has_vulkan(dir.path()) {
+        skip("vulkan", "no device draws");
+        return None;
+    }
+    small_headset(dir.path());
+    small_study(dir.path());
+    Some(dir)
+}
+
+#[test]
+fn who_is_killed_in_the_middle_of_a_trial_goes_on_with_it() {
+    let Some(dir) = prepared() else { return };
+    let here = dir.path();
+    let mut child = Command::new(vergence())
+        .current_dir(here)
+        .args(run_of(&["--no-pictures", "--real-time"]))
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .expect("the tool runs");
+    // In real time the first movements take some seconds.
+    let began = Instant::now();
+    let trials = || {
+        here.join("study.data/manifest.json")
+            .exists()
+            .then(|| status_of(here)["participants"][0]["trials"].as_u64().unwrap_or(0))
+    };
+    while trials().unwrap_or(0) < 3 {
+        assert!(began.elapsed() < PATIENCE, "no trial ends");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    child.kill().expect("it is killed");
+    child.wait().expect("it ends");
+    let status = status_of(here);
+    let before = status["participants"][0]["trials"].as_u64().expect("trials");
+    assert!((3..20).contains(&before), "{status}");
+    assert!(status["findings"].to_string().contains("ended without a word"), "{status}");
+    let refused = tool(here, &run_of(&["--no-pictures"]));
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(said(&refused).contains("--resume"), "{}", said(&refused));
+    let ran = done(here, &run_of(&["--no-pictures", "--resume"]));
+    assert_eq!((&ran["finished"], ran["trials"].as_u64()), (&true.into(), Some(20 - before)), "{ran}");
+    let found = done(here, &["study", "analyze", "study.data", "--json"]);
+    assert_eq!((&found["summary"]["trials"], &found["summary"]["sequences"]), (&20.into(), &4.into()));
+}
+
+#[test]
+fn a_session_that_is_lost_costs_no_trial() {
+    let Some(dir) = prepared() else { return };
+    let here = dir.path();
+    // Once: it is asked for anew, and goes on.
+    let ran = done(here, &run_of(&["--no-pictures", "--fault", "xrEndFrame=ERROR_SESSION_LOST@300"]));
+    assert_eq!((&ran["finished"], &ran["done"]), (&true.into(), &20.into()), "{ran}");
+    let status = status_of(here);
+    assert!(status["findings"].to_string().contains("lost"), "{status}");
+    // For good: the run fails, and somebody goes on later.
+    done(here, &["study", "delete", "study.data", "--participant", "P01"]);
+    let lost = tool(here, &run_of(&["--no-pictures", "--fault", "xrEndFrame=ERROR_SESSION_LOST@300+"]));
+    assert_eq!(lost.status.code(), Some(1), "{}", said(&lost));
+    let status = status_of(here);
+    let before = status["participants"][0]["trials"].as_u64().expect("trials");
+    assert!((1..20).contains(&before) && status["findings"].to_string().contains("lost"), "{status}");
+    let ran = done(here, &run_of(&["--no-pictures", "--resume"]));
+    assert_eq!((&ran["finished"], ran["trials"].as_u64()), (&true.into(), Some(20 - before)), "{ran}");
+}
+
+#[test]
+fn there_is_no_falling_back() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let here = dir.path();
+    small_study(here);
+    let run = |more: &[&str]| {
+        let mut all = vec!["study", "run", "study.toml", "--participant", "P01"];
+        all.extend(more);
+        tool(here, &all)
+    };
+    for (more, word) in [
+        (vec![], "--headset"),
+        (vec!["--headset", "simulated", "--input", "controller"], "simulated:SEED"),
+        (vec!["--headset", "openxr", "--input", "simulated:1"], "controller, hand or gaze"),
+        (vec!["--headset", "openxr", "--input", "gaze"], "kind = \"ray\""),
+        (vec!["--headset", "desktop", "--input", "hand"], "mouse"),
+        (vec!["--headset", "simulated", "--input", "simulated"], "simulated:SEED"),
+    ] {
+        let output = run(&more);
+        assert_eq!(output.status.code(), Some(2), "{more:?}: {}", said(&output));
+        assert!(said(&output).contains(word), "{more:?}: {}", said(&output));
+        assert!(!here.join("study.data").exists(), "{more:?} made a folder");
+    }
+}
+
+/// A screen without hardware.
+struct Screen {
+    server: Child,
+    display: String,
+}
+
+impl Screen {
+    fn start() -> Option<Self> {
+        let mut server = Command::new("Xvfb")
+            .args(["-displayfd", "1", "-screen", "0", "1024x900x24", "-nolisten", "tcp"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .ok()?;
+        let mut line = String::new();
+        BufReader::new(server.stdout.take()?).read_line(&mut line).ok()?;
+        Some(Self { server, display: format!(":{}", line.trim()) })
+    }
+
+    fn does(&self, arguments: &[String]) -> Option<String> {
+        let output = Command::new("xdotool").env("DISPLAY", &self.display).args(arguments).output().ok()?;
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+}
+
+impl Drop for Screen {
+    fn drop(&mut self) {
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
+
+#[test]
+fn the_same_study_in_a_window() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let here = dir.path();
+    let Some(screen) = Screen::start() else { return skip("xvfb", "it is not installed") };
+    if !has_vulkan(here) {
+        return skip("vulkan", "no device draws");
+    }
+    let file = small_study(here);
+    let study = Study::parse(&file, &std::fs::read_to_string(&file).expect("it is there")).expect("a study");
+    let mut child = Command::new(vergence())
+        .current_dir(here)
+        .env("DISPLAY", &screen.display)
+        .args([
+            "study",
+            "run",
+            "study.toml",
+            "--participant",
+            "P01",
+            "--headset",
+            "desktop",
+            "--dpi",
+            "72",
+            "--json",
+        ])
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the tool runs");
+    let began = Instant::now();
+    let text = |words: &[&str]| words.iter().map(|&word| word.to_owned()).collect::<Vec<_>>();
+    let window = loop {
+        let found = screen.does(&text(&["search", "--onlyvisible", "--name", "Pointing in a headset"]));
+        if let Some(id) = found.and_then(|found| found.lines().next().map(str::to_owned)) {
+            break id;
+        }
+        if began.elapsed() > PATIENCE {
+            let _ = child.kill();
+            return skip("xdotool", "no window was found with it");
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    };
+    let shape =
+        screen.does(&text(&["getwindowgeometry", "--shell", &window])).expect("the window has a shape");
+    let number = |name: &str| -> f64 {
+        let line = shape.lines().find_map(|line| line.strip_prefix(name)).expect("a number");
+        line.trim_start_matches('=').parse().expect("a number")
+    };
+    let (x, y, width, height) = (number("X"), number("Y"), number("WIDTH"), number("HEIGHT"));
+    let px = 72.0 / 0.0254;
+    let mut clicks = Vec::new();
+    let mut click = |at: [f64; 3], off: f64| {
+        let (right, down) = (x + 0.5 * width + (at[0] + off) * px, y + 0.5 * height - at[1] * px);
+        clicks.extend(text(&[
+            "mousemove",
+            &format!("{right:.0}"),
+            &format!("{down:.0}"),
+            "sleep",
+            "0.15",
+            "click",
+            "1",
+        ]));
+        clicks.extend(text(&["sleep", "0.15"]));
+    };
+    let plan = study.plan("P01");
+    for (number, trial) in plan.blocks.iter().flat_map(|block| &block.trials).enumerate() {
+        if trial.index == 0 {
+            click(trial.from.centre, 0.0);
+        }
+        // Beside the middle, and every seventh time beside the target.
+        let width = trial.to.width.unwrap_or(0.0);
+        click(trial.to.centre, if number % 7 == 6 { 0.8 * width } else { 0.1 * width * (number % 4) as f64 });
+    }
+    // The first picture is there before the first click.
+    std::thread::sleep(Duration::from_secs(3));
+    screen.does(&clicks).expect("the mouse is moved");
+    while child.try_wait().expect("a child").is_none() {
+        if began.elapsed() > PATIENCE {
+            let _ = child.kill();
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let output = child.wait_with_output().expect("it has ended");
+    let status = status_of(here);
+    assert!(output.status.success(), "{}\n{status}", said(&output));
+    assert!(status["participants"][0]["finished"] == true, "{status}");
+    let found = done(here, &["study", "analyze", "study.data", "--json", "--csv", "tables"]);
+    let summary = &found["summary"];
+    assert_eq!((&summary["trials"], &summary["dimensions"]), (&20.into(), &2.into()), "{summary}");
+    assert_eq!(summary["length_unit"], "m");
+    // Two of twenty were beside the target; a pixel is 0.35 mm.
+    assert!((summary["error_rate"].as_f64().expect("a rate") - 0.1).abs() < 1e-9, "{summary}");
+    let trials = std::fs::read_to_string(here.join("tables/trials.csv")).expect("a table");
+    let header: Vec<&str> = trials.lines().next().expect("a header").split(',').collect();
+    let column = |name: &str| header.iter().position(|own| *own == name).expect("a column");
+    for (line, planned) in trials.lines().skip(1).zip(plan.blocks.iter().flat_map(|block| &block.trials)) {
+        let cell = |name: &str| -> f64 {
+            line.split(',').nth(column(name)).expect("a cell").parse().expect("a number")
+        };
+        assert!((cell("to_x") - planned.to.centre[0]).abs() < 1e-12);
+        assert!((cell("end_y") - planned.to.centre[1]).abs() < 0.001, "{line}");
+        assert!(cell("mt_s") > 0.05, "{line}");
+    }
+    done(here, &["study", "report", "study.data", "-o", "report.html"]);
+}
