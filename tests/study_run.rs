@@ -371,6 +371,7 @@ fn the_same_study_in_a_window() {
         }
         if began.elapsed() > PATIENCE {
             let _ = child.kill();
+            let _ = child.wait();
             return skip("xdotool", "no window was found with it");
         }
         std::thread::sleep(Duration::from_millis(200));
