@@ -1,6 +1,8 @@
 //! FORMAT.md says what the code does; public readers in another language read it.
 #![allow(clippy::unwrap_used, reason = "a test stops where something is not as expected")]
 
+mod python;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -143,25 +145,9 @@ fn everything(path: &Path, compression: Compression) {
     assert_eq!(recorder.finish().unwrap().dropped, 0);
 }
 
-/// The Python of `tools/setup`, or the one that is named.
-fn python() -> Option<PathBuf> {
-    let named = std::env::var_os("VERGENCE_PYTHON").map(PathBuf::from);
-    let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let python = named.unwrap_or_else(|| checkout.join("target/python/bin/python"));
-    let probe =
-        Command::new(&python).args(["-c", "import mcap, mcap_protobuf, foxglove_schemas_protobuf"]).output();
-    if probe.is_ok_and(|output| output.status.success()) {
-        return Some(python);
-    }
-    let required = std::env::var("VERGENCE_REQUIRE").unwrap_or_default();
-    assert!(!required.split(',').any(|name| name == "python"), "no Python with mcap: run tools/setup");
-    println!("skipped: no Python with the packages mcap, mcap-protobuf-support, foxglove-schemas-protobuf");
-    None
-}
-
 #[test]
 fn public_readers_read_it() {
-    let Some(python) = python() else { return };
+    let Some(python) = python::find() else { return };
     let dir = TempDir::new().unwrap();
     let names = ["zstd", "lz4", "none"].map(|name| dir.path().join(format!("{name}.mcap")));
     for (path, compression) in names.iter().zip([Compression::Zstd, Compression::Lz4, Compression::None]) {
@@ -172,12 +158,8 @@ fn public_readers_read_it() {
     let (cut, mended) = (dir.path().join("cut.mcap"), dir.path().join("mended.mcap"));
     std::fs::write(&cut, &whole[..whole.len() - 10_000]).unwrap();
     vergence_log::repair(&cut, &mended, vergence_log::Limits::default(), &mut |_, _| {}).unwrap();
-    let tests = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/decode.py");
-    let output = Command::new(&python).arg(tests).args(&names).arg(&mended).output().unwrap();
-    let said =
-        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.contains("4 files"), "{said}");
-    print!("{said}");
+    let all: Vec<PathBuf> = names.iter().cloned().chain([mended]).collect();
+    python::decode(&python, &all);
     let mut reader = Reader::open(&names[0]).unwrap();
     let mut count = 0;
     while reader.next().unwrap().is_some() {

@@ -3,6 +3,8 @@
 //! The recordings run in processes of their own: this test's executable, told by its environment what to do.
 #![allow(clippy::unwrap_used, reason = "a test stops where something is not as expected")]
 
+mod python;
+
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -211,6 +213,11 @@ fn a_killed_recording_loses_at_most_its_last_second() {
     println!("{KILLS} kills: at most {longest:?} lost; {frames} frames kept");
     assert!(longest < LOST_AT_MOST, "{longest:?}");
     assert!(frames > 1000, "{frames}");
+    // What was mended is read by others, too.
+    if let Some(python) = python::find() {
+        let mended: Vec<_> = (0..KILLS).map(|number| dir.join(format!("mended-{number}.mcap"))).collect();
+        python::decode(&python, &mended);
+    }
 }
 
 fn run(shell: &str, file: &Path) -> (bool, String) {
