@@ -143,8 +143,13 @@ fn floor() -> Arc<Scene> {
     })
 }
 
-/// The smallest headset.
+/// The smallest headset; beside it, what its user does: what lies still is no hand that points, so it pulls the trigger.
 fn profile(folder: &std::path::Path) -> PathBuf {
+    let pull = |ms: u32, pull: f32| format!("[[right]]\ntime = \"{ms} ms\"\ntrigger = {pull:.1}\n");
+    let pulls = [(0, 0.0), (20, 0.9), (40, 0.0), (60, 0.9), (80, 0.0), (100, 0.9)];
+    let user = pulls.map(|(ms, to)| pull(ms, to)).concat();
+    std::fs::write(folder.join("user.toml"), format!("at-end = \"hold\"\nduration = \"1 s\"\n{user}"))
+        .unwrap();
     let path = folder.join("tiny.toml");
     let text = "name = \"tiny\"\nresolution = [8, 8]\nrates = [\"90 Hz\"]\nipd = \"63 mm\"\n[left]\n\
                 fov = { left = \"-45 deg\", right = \"45 deg\", up = \"45 deg\", down = \"-45 deg\" }\n";
@@ -156,6 +161,7 @@ fn config(profile: &std::path::Path, faults: FaultPlan, hang_s: f64) -> RunConfi
     RunConfig {
         headset: HeadsetChoice::Simulated,
         profile: Some(profile.to_str().unwrap().to_owned()),
+        motion: Some(profile.with_file_name("user.toml").to_str().unwrap().to_owned()),
         frames: Some(FRAMES),
         quality: vergence_render::Quality { msaa: 1, ..Default::default() },
         faults,
@@ -318,6 +324,10 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
     let report = run(&scene, &config(&profile, counted.clone(), 9.0), &mut |_| {}).unwrap();
     assert_eq!((report.frames, report.losses), (FRAMES, 0));
     let calls: BTreeMap<&'static str, u64> = counted.calls();
+    assert!(
+        calls.get("xrApplyHapticFeedback").is_some_and(|count| *count >= 3),
+        "nothing is felt: {calls:?}"
+    );
     println!("a run without faults takes {:?} and calls:", started.elapsed());
     for (entry_point, count) in &calls {
         println!("    {count:>5} x {entry_point}");
