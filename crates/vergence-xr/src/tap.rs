@@ -39,7 +39,7 @@ pub(crate) enum Call {
     ReleaseSwapchainImage,
 }
 
-/// The names of the calls whose results a tap hears ([`Said::Result`]), in the order of [`Call`].
+/// The names of the calls whose results a tap hears ([`Said::Result`]): a result gives its place in this list.
 pub const HEARD_CALLS: [&str; 20] = [
     "xrPollEvent",
     "xrBeginSession",
