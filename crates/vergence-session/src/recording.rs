@@ -313,3 +313,46 @@ fn hashed(pictures: &vergence_xr::Pictures) -> String {
         pictures.color_format
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vergence_xr_sim::motion::EXIT_REQUESTED;
+
+    /// Who writes a reader from the page must find every stream and event that a session writes.
+    #[test]
+    fn the_format_page_names_every_stream_and_event() {
+        let page = include_str!("../../vergence-log/FORMAT.md");
+        let streams = [
+            name::EVENTS,
+            name::RESULTS,
+            name::TIMING,
+            name::HASHES,
+            name::VIEWS,
+            name::SUBMITTED,
+            name::HEAD,
+            name::FLOOR,
+            name::GAZE,
+            name::JOINTS[0],
+            name::JOINTS[1],
+            "/diagnostics/frame_cpu",
+            "/diagnostics/pose_age",
+            "/diagnostics/recording",
+        ];
+        let events = [SESSION_BEGINS, EXIT_REQUESTED, RUN_ENDED];
+        let of_the_runtime = [
+            "session_state",
+            "space_changing",
+            "interaction_profile_changed",
+            "visibility_mask_changed",
+            "refresh_rate_changed",
+            "instance_loss_pending",
+            "events_lost",
+            "time_fault",
+            "time_rebased",
+        ];
+        for name in streams.into_iter().chain(events).chain(of_the_runtime) {
+            assert!(page.contains(&format!("`{name}`")), "FORMAT.md does not name {name}");
+        }
+    }
+}

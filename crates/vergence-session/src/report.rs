@@ -157,7 +157,7 @@ impl std::fmt::Display for RunReport {
         if let Some(recording) = &self.recording {
             let RecordReport { path, messages, dropped, frame_us, error } = recording;
             match error {
-                Some(error) => writeln!(f, "recording      ended early: {error}")?,
+                Some(error) => writeln!(f, "recording      {error}")?,
                 None => writeln!(
                     f,
                     "recording      {path}: {messages} messages, {dropped} dropped, p95 {:.1} us per frame",
