@@ -9,7 +9,7 @@ use vergence_gpu::{
 };
 
 use crate::Error;
-use crate::renderer::{Attachments, Target};
+use crate::target::{Attachments, Target};
 
 /// Images between the passes and the attachments, where there are more samples than one or no depth is asked for.
 #[derive(Default)]

@@ -9,7 +9,7 @@ use vergence_gpu::{
 };
 
 use crate::Error;
-use crate::renderer::Target;
+use crate::target::Target;
 
 /// The hidden areas of all views on the device.
 pub(crate) struct Hidden {

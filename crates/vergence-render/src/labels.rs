@@ -16,7 +16,7 @@ use crate::Error;
 use crate::meshes::at;
 use crate::pipelines::DEPTH_COMPARE;
 use crate::pose::largest_scale;
-use crate::renderer::Target;
+use crate::target::Target;
 
 /// `Draw` of text.wgsl.
 #[repr(C)]

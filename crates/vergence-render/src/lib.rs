@@ -4,6 +4,7 @@
 mod between;
 pub mod camera;
 mod cull;
+mod draws;
 mod error;
 mod hidden;
 mod labels;
@@ -17,7 +18,9 @@ mod pose;
 mod quality;
 mod renderer;
 mod skinning;
+mod slots;
 mod surfaces;
+mod target;
 mod textures;
 mod views;
 
@@ -25,5 +28,6 @@ pub use error::Error;
 pub use mips::mip_chain;
 pub use offscreen::Offscreen;
 pub use quality::Quality;
-pub use renderer::{Attachments, PassMs, Renderer, Statistics, Target};
+pub use renderer::{PassMs, Renderer, Statistics};
+pub use target::{Attachments, Target};
 pub use vergence_shaders::{MAX_LIGHTS, MAX_VIEWS};

@@ -8,7 +8,7 @@ use vergence_gpu::{
 };
 
 use crate::Error;
-use crate::renderer::{Attachments, Target};
+use crate::target::{Attachments, Target};
 
 /// Colour (and depth, where it is wanted) of all views, and a buffer that the host reads.
 pub struct Offscreen {

@@ -11,8 +11,8 @@ use vergence_scene::Coverage;
 
 use crate::Error;
 use crate::meshes::Kind;
-use crate::renderer::Target;
 use crate::surfaces::Layout;
+use crate::target::Target;
 
 /// Reversed depth: nearer is greater.
 pub(crate) const DEPTH_COMPARE: vk::CompareOp = vk::CompareOp::GREATER;

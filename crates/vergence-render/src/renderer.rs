@@ -3,96 +3,25 @@
 use std::sync::Arc;
 
 use vergence_geom::View;
-use vergence_gpu::vk;
-use vergence_gpu::{
-    BindingDesc, Bound, Buffer, CommandBuffer, DescriptorSet, Device, Encoder, ImageView, Memory, SetLayout,
-    Upload, Use,
-};
+use vergence_gpu::{Device, SetLayout, Upload};
 use vergence_scene::Needs;
 use vergence_scene::model::{LightKind, Scene};
 use vergence_time::Span;
 
 use crate::between::Between;
 use crate::cull::{Item, Visible, middle_of};
+use crate::draws::{Bindings, Draws, Geometry, is_mirrored, upload_geometry};
 use crate::hidden::Hidden;
 use crate::labels::Labels;
 use crate::meshes::{Meshes, at};
 use crate::pipelines::KindPipelines;
 use crate::pose::Pose;
 use crate::skinning::Skinning;
-use crate::surfaces::PackedMaterial;
+use crate::slots::{Slot, State, Windows, frame_set_layout, upload_materials};
+use crate::target::{Attachments, Target};
 use crate::textures::{self, TextureSet};
 use crate::views::{Axes, Eyes, PLACE_ROWS, PackedFrame, pack};
 use crate::{Error, MAX_LIGHTS, MAX_VIEWS, Quality, lights};
-
-/// What is drawn to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Target {
-    /// Of the single-sampled colour image; an sRGB format, since shaders write linear light.
-    pub color_format: vk::Format,
-    /// A float format: reversed depth needs one to be exact far away.
-    pub depth_format: vk::Format,
-    /// Width and height of each view, pixels.
-    pub size: (u32, u32),
-    /// Number of views, 1…[`MAX_VIEWS`]: layers of the images.
-    pub views: u32,
-}
-
-impl Target {
-    /// 8-bit sRGB and 32-bit depth for `views` views of `size` pixels.
-    pub fn new(size: (u32, u32), views: u32) -> Self {
-        Self { color_format: vk::Format::R8G8B8A8_SRGB, depth_format: vk::Format::D32_SFLOAT, size, views }
-    }
-
-    /// The views of one pass, one bit each; 0 where each view has its own pass.
-    pub(crate) fn view_mask(&self, device: &Device) -> u32 {
-        if self.views == 1 || has_sound_multiview(device) { (1 << self.views) - 1 } else { 0 }
-    }
-}
-
-impl Target {
-    pub(crate) fn views_per_pass(&self, device: &Device) -> u32 {
-        self.view_mask(device).count_ones().max(1)
-    }
-}
-
-/// Whether one pass may draw all views. Mesa's software device draws the views of a multiview pass one after the
-/// other in any case, and puts triangles that it clips into the wrong view (seen in 22.3.6: the vertices that
-/// clipping makes are flushed after the view has changed), so it gets one pass per view.
-fn has_sound_multiview(device: &Device) -> bool {
-    !device.limits().software
-}
-
-/// The images of one frame: an array layer per view.
-#[derive(Clone, Copy)]
-pub struct Attachments<'a> {
-    /// Colour, one sample; what the picture is resolved to where there are more.
-    pub color: &'a Arc<ImageView>,
-    /// Its use before (its content is given up) and after.
-    pub color_before: Use,
-    /// See [`Attachments::color_before`].
-    pub color_after: Use,
-    /// Depth, one sample, where it is wanted: sample zero where there are more.
-    pub depth: Option<&'a Arc<ImageView>>,
-    /// Its use before (its content is given up) and after.
-    pub depth_before: Use,
-    /// See [`Attachments::depth_before`].
-    pub depth_after: Use,
-}
-
-impl<'a> Attachments<'a> {
-    /// Images that are, and stay, in the layouts of attachments: those of an OpenXR swapchain.
-    pub fn swapchain(color: &'a Arc<ImageView>, depth: Option<&'a Arc<ImageView>>) -> Self {
-        Self {
-            color,
-            color_before: Use::ColorAttachment,
-            color_after: Use::ColorAttachment,
-            depth,
-            depth_before: Use::DepthAttachment,
-            depth_after: Use::DepthAttachment,
-        }
-    }
-}
 
 /// GPU time of a pass.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -112,32 +41,6 @@ pub struct Statistics {
     pub triangles_drawn: u64,
     /// Parts and labels that were not culled.
     pub draws: u32,
-}
-
-/// What a frame in flight owns.
-struct Slot {
-    commands: CommandBuffer,
-    frame: Arc<Buffer>,
-    /// `None` where nothing is drawn.
-    transforms: Option<Arc<Buffer>>,
-    set: Option<Arc<DescriptorSet>>,
-    /// In the order of transforms.
-    items: Vec<Item>,
-    state: State,
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum State {
-    Free,
-    Begun,
-    Latched,
-}
-
-/// Where the scene's vertices are.
-struct Geometry {
-    moving: Option<Arc<Buffer>>,
-    sticking: Option<Arc<Buffer>>,
-    indices: Arc<Buffer>,
 }
 
 /// Draws one scene to one kind of target.
@@ -544,203 +447,4 @@ fn order_lights(scene: &Scene) -> Result<(Vec<usize>, vergence_shaders::Lights),
     let counts = vergence_shaders::Lights { infinite: infinite.len() as u32, placed: placed.len() as u32 };
     infinite.append(&mut placed);
     Ok((infinite, counts))
-}
-
-/// Whether a node turns its triangles over (joints decide for themselves: they rarely do).
-fn is_mirrored(pose: &Pose, node: usize, skin: Option<usize>) -> bool {
-    skin.is_none() && pose.world.world_from_node[node].linear.determinant() < 0.0
-}
-
-/// What is bound, by index, so that nothing is bound twice.
-#[derive(Default, PartialEq, Clone, Copy)]
-struct Bindings {
-    pipeline: Option<(usize, bool)>,
-    texture_set: Option<usize>,
-    group: Option<usize>,
-    indices: bool,
-}
-
-/// Records the draws of one frame.
-struct Draws<'a> {
-    meshes: &'a Meshes,
-    pose: &'a Pose,
-    geometry: Option<&'a Geometry>,
-    skinned: Option<&'a Arc<Buffer>>,
-    textures: &'a [TextureSet],
-    kinds: &'a mut [KindPipelines],
-    device: &'a Arc<Device>,
-    target: &'a Target,
-    samples: u32,
-    lights: vergence_shaders::Lights,
-    set: &'a Arc<DescriptorSet>,
-    windows: Windows,
-    pass: u32,
-    bound: Bindings,
-    triangles: u64,
-}
-
-impl Draws<'_> {
-    fn part(&mut self, encoder: &mut Encoder<'_>, index: usize, place: u32) -> Result<(), Error> {
-        let Some(geometry) = self.geometry else { return Ok(()) };
-        let drawable = &self.meshes.drawables[index];
-        let mirrored = is_mirrored(self.pose, drawable.node, drawable.skin);
-        let pipeline = Some((drawable.kind, mirrored));
-        if self.bound.pipeline != pipeline {
-            let kind = &mut self.kinds[drawable.kind];
-            let made = kind.get(self.device, self.target, self.samples, self.lights, mirrored)?;
-            encoder.bind(made);
-            self.bound.pipeline = pipeline;
-            self.bound.texture_set = None;
-        }
-        if self.bound.texture_set != Some(drawable.texture_set) {
-            if let Some(set) = &self.textures[drawable.texture_set].set {
-                encoder.bind_set(1, set, &[]);
-            }
-            self.bound.texture_set = Some(drawable.texture_set);
-        }
-        if self.bound.group != Some(drawable.group) {
-            let group = &self.meshes.groups[drawable.group];
-            let moving = if group.skinned { self.skinned } else { geometry.moving.as_ref() };
-            if let Some(moving) = moving {
-                encoder.vertex_buffer(0, moving, group.moving_offset);
-            }
-            if let Some(sticking) = geometry.sticking.as_ref().filter(|_| group.layout.sticking() > 0) {
-                encoder.vertex_buffer(1, sticking, group.sticking_offset);
-            }
-            self.bound.group = Some(drawable.group);
-        }
-        if !self.bound.indices {
-            encoder.index_buffer(&geometry.indices, 0, vk::IndexType::UINT16);
-            self.bound.indices = true;
-        }
-        let material = drawable.material * self.windows.material_stride;
-        encoder.bind_set(0, self.set, &[self.pass * self.windows.frame_stride, place, material]);
-        encoder.draw_indexed(drawable.index_count, drawable.first_index, drawable.base_vertex, 1, 0);
-        self.triangles += u64::from(drawable.index_count / 3);
-        Ok(())
-    }
-}
-
-impl Slot {
-    fn new(
-        device: &Arc<Device>,
-        layout: &Arc<SetLayout>,
-        windows: &Windows,
-        materials: Option<&Arc<Buffer>>,
-        timestamps: bool,
-    ) -> Result<Self, Error> {
-        const PASSES: u32 = 2;
-        let bytes = u64::from(windows.frame_stride) * windows.passes as u64;
-        let frame =
-            Buffer::new(device, "frame", bytes, vk::BufferUsageFlags::UNIFORM_BUFFER, Memory::Upload)?;
-        let uniform = vk::BufferUsageFlags::UNIFORM_BUFFER;
-        let rows = windows.rows();
-        let (mut transforms, mut set) = (None, None);
-        if rows > 0 {
-            let buffer = Buffer::new(device, "transforms", 16 * rows as u64, uniform, Memory::Upload)?;
-            let bound = [
-                (0, 0, Bound::BufferRange(&frame, 0, size_of::<PackedFrame>() as u64)),
-                (1, 0, Bound::BufferRange(&buffer, 0, 16 * PLACE_ROWS as u64)),
-                match materials {
-                    Some(materials) => {
-                        (2, 0, Bound::BufferRange(materials, 0, size_of::<PackedMaterial>() as u64))
-                    }
-                    // A scene of labels only has no materials; their shader does not look.
-                    None => (2, 0, Bound::BufferRange(&buffer, 0, 16 * PLACE_ROWS as u64)),
-                },
-            ];
-            set = Some(DescriptorSet::new(layout, &bound)?);
-            transforms = Some(buffer);
-        }
-        let commands = CommandBuffer::new(device, "frame", if timestamps { PASSES } else { 0 })?;
-        Ok(Self { commands, frame, transforms, set, items: Vec::new(), state: State::Free })
-    }
-}
-
-fn frame_set_layout(device: &Arc<Device>) -> Result<Arc<SetLayout>, Error> {
-    let stages = vk::ShaderStageFlags::VERTEX | vk::ShaderStageFlags::FRAGMENT;
-    Ok(SetLayout::new(
-        device,
-        &[
-            BindingDesc::new(0, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, stages),
-            BindingDesc::new(1, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, vk::ShaderStageFlags::VERTEX),
-            BindingDesc::new(2, vk::DescriptorType::UNIFORM_BUFFER_DYNAMIC, stages),
-        ],
-    )?)
-}
-
-/// Windows of the uniform buffers: a frame for each pass, a place for each pass and item, a material for each
-/// material.
-#[derive(Clone, Copy)]
-struct Windows {
-    /// One, or one for each view.
-    passes: usize,
-    items: usize,
-    /// From one to the next: bytes.
-    frame_stride: u32,
-    /// From one to the next: rows of 16 bytes.
-    place_stride: usize,
-    /// From one to the next: bytes.
-    material_stride: u32,
-}
-
-impl Windows {
-    fn new(device: &Device, target: &Target, items: usize) -> Self {
-        let alignment = (device.limits().uniform_alignment as usize).max(16);
-        let views_per_pass = target.views_per_pass(device);
-        Self {
-            passes: (target.views / views_per_pass) as usize,
-            items,
-            frame_stride: size_of::<PackedFrame>().next_multiple_of(alignment) as u32,
-            place_stride: (16 * (3 + 3 * views_per_pass as usize)).next_multiple_of(alignment) / 16,
-            material_stride: size_of::<PackedMaterial>().next_multiple_of(alignment) as u32,
-        }
-    }
-
-    /// First row of a place.
-    fn place_row(&self, pass: usize, item: usize) -> usize {
-        (pass * self.items + item) * self.place_stride
-    }
-
-    /// First byte of a place.
-    fn place(&self, pass: usize, item: usize) -> u32 {
-        16 * self.place_row(pass, item) as u32
-    }
-
-    /// Rows of all places; the last window is as long as all others.
-    fn rows(&self) -> usize {
-        if self.items == 0 { 0 } else { self.place_row(self.passes, 0) + PLACE_ROWS }
-    }
-}
-
-fn upload_materials(
-    upload: &mut Upload,
-    meshes: &Meshes,
-    windows: &Windows,
-) -> Result<Option<Arc<Buffer>>, Error> {
-    if meshes.materials.is_empty() {
-        return Ok(None);
-    }
-    let mut bytes = Vec::with_capacity(meshes.materials.len() * windows.material_stride as usize);
-    for material in &meshes.materials {
-        bytes.extend_from_slice(bytemuck::bytes_of(material));
-        bytes.resize(bytes.len().next_multiple_of(windows.material_stride as usize), 0);
-    }
-    Ok(Some(upload.buffer("materials", &bytes, vk::BufferUsageFlags::UNIFORM_BUFFER)?))
-}
-
-fn upload_geometry(upload: &mut Upload, meshes: &Meshes) -> Result<Option<Geometry>, Error> {
-    if meshes.indices.is_empty() {
-        return Ok(None);
-    }
-    let mut stream = |name, data: &[f32]| -> Result<Option<Arc<Buffer>>, Error> {
-        if data.is_empty() {
-            return Ok(None);
-        }
-        Ok(Some(upload.buffer(name, data, vk::BufferUsageFlags::VERTEX_BUFFER)?))
-    };
-    let moving = stream("vertices", &meshes.moving)?;
-    let sticking = stream("vertex attributes", &meshes.sticking)?;
-    let indices = upload.buffer("indices", &meshes.indices, vk::BufferUsageFlags::INDEX_BUFFER)?;
-    Ok(Some(Geometry { moving, sticking, indices }))
 }
