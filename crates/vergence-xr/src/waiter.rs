@@ -2,6 +2,15 @@
 //!
 //! It is the one call that is meant to block, for as long as the runtime likes. No other way leads out of a call that does
 //! not return: whoever waits in it is lost. The frame thread waits for the answer instead, and only for so long.
+//!
+//! Its cost: 4.5 µs of processor time per frame on this thread, the simulated runtime's own part included, where no frame is
+//! waited for; 38 µs at 90 Hz by the wall clock, where each frame also wakes a sleeping thread twice (two busy cores, 1,800
+//! frames each; nanoseconds by the kernel's own count):
+//!
+//! ```text
+//! vergence run Box.glb --headset simulated --seconds 20 --real-time & sleep 20
+//! cat $(dirname $(grep -l xrWaitFrame /proc/$!/task/*/comm))/schedstat
+//! ```
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
