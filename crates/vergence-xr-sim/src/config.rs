@@ -171,6 +171,7 @@ pub(crate) enum Command {
     LoseSession,
     LoseInstance,
     Presence(Presence),
+    HiddenArea(bool),
 }
 
 #[derive(Debug, Default)]
@@ -221,6 +222,11 @@ impl Control {
     /// The headset is put on, covered by a menu, or taken off.
     pub fn set_presence(&self, presence: Presence) {
         self.push(Command::Presence(presence));
+    }
+
+    /// Whether the lenses hide what the profile says (at first they do), or nothing; the application is told that it changed.
+    pub fn set_hidden_area(&self, hides: bool) {
+        self.push(Command::HiddenArea(hides));
     }
 
     /// Every vibration so far, in the order of the calls.

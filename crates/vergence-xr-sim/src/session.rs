@@ -37,6 +37,8 @@ pub(crate) struct SessionState {
     exiting: bool,
     lost: bool,
     presence: Presence,
+    /// Whether the lenses hide nothing of what the profile says.
+    pub hides_nothing: bool,
     /// Recentrings of the motion that were followed.
     recentrings: u64,
     /// When the session began for the first time: motion time 0.
@@ -259,6 +261,13 @@ impl Session {
             }
             Command::Presence(presence) => inner.presence = presence,
             Command::Recentre => self.recentre(inner),
+            Command::HiddenArea(hides) => {
+                if std::mem::replace(&mut inner.hides_nothing, !hides) == hides
+                    && self.instance.has(Extension::VisibilityMask)
+                {
+                    self.instance.push_event(Event::VisibilityMaskChanged { session: self.handle });
+                }
+            }
             Command::LoseInstance => {}
         }
     }
@@ -353,6 +362,7 @@ pub(crate) fn create_session(
             exiting: false,
             lost: false,
             presence: Presence::default(),
+            hides_nothing: false,
             recentrings: 0,
             begun_at: None,
             frames: Frames::default(),

@@ -66,6 +66,10 @@ pub(crate) fn get_visibility_mask(
     let out = out.fill()?;
     let eyes = &session.instance.config.profile.eyes;
     let eye = eyes.get(view as usize).ok_or(sys::Result::ERROR_VALIDATION_FAILURE)?;
+    let mut eye = eye.clone();
+    if session.lock().hides_nothing {
+        eye.visible.clear();
+    }
     let mesh = match mask {
         sys::VisibilityMaskTypeKHR::HIDDEN_TRIANGLE_MESH => eye.hidden_mesh(),
         sys::VisibilityMaskTypeKHR::VISIBLE_TRIANGLE_MESH => eye.visible_mesh(),
