@@ -133,3 +133,62 @@ fn what_is_wrong_is_said_with_its_place_and_status() {
     }
     object(&imu(&["run", "two.mcap", "--stream", "/right", "--axes", "6", "--json", "-o", "o.csv"], folder));
 }
+
+#[test]
+fn a_calibration_is_taken_out_of_each_reading() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    std::fs::write(folder.join("in.csv"), text()).expect("a file");
+    let triad = |name: &str, offset: &str, scale: f64, length: f64| {
+        format!(
+            "[{name}]\noffset = {offset}\noffset_sd = [0.0, 0.0, 0.0]\n\
+             matrix = [[{scale}, 0.0, 0.0], [0.0, {scale}, 0.0], [0.0, 0.0, {scale}]]\n\
+             matrix_sd = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]\nlength = {length}\nresidual = 0.0\n"
+        )
+    };
+    let whole = |bias: &str, mag_scale: f64| {
+        format!(
+            "gyr_bias_rad_s = {bias}\ngyr_bias_sd_rad_s = [0.0, 0.0, 0.0]\nrests = 1\nnot_observed = []\n{}{}",
+            triad("accelerometer", "[0.3, -0.2, 0.1]", 1.02, 9.81),
+            triad("magnetometer", "[5.0, -8.0, 3.0]", mag_scale, 45.0)
+        )
+    };
+    std::fs::write(folder.join("c.toml"), whole("[0.1, -0.2, 0.15]", 0.97)).expect("a file");
+    std::fs::write(folder.join("flat.toml"), whole("[0.1, -0.2, 0.15]", 0.0)).expect("a file");
+    std::fs::write(folder.join("nan.toml"), whole("[nan, 0.0, 0.0]", 1.0)).expect("a file");
+    // The unit of `text`, with these errors.
+    let mut wrong = String::new();
+    for (row, line) in text().lines().enumerate() {
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        if row > 0 {
+            let errors = [(1.0, [0.1, -0.2, 0.15]), (1.02, [0.3, -0.2, 0.1]), (0.97, [5.0, -8.0, 3.0])];
+            for (sensor, (scale, offset)) in errors.iter().enumerate() {
+                for axis in 0..3 {
+                    let cell = &mut cells[1 + 3 * sensor + axis];
+                    *cell = format!("{:?}", cell.parse::<f64>().expect("a number") * scale + offset[axis]);
+                }
+            }
+        }
+        wrong += &cells.join(",");
+        wrong.push('\n');
+    }
+    std::fs::write(folder.join("wrong.csv"), wrong).expect("a file");
+    let total = |arguments: &[&str]| {
+        object(&imu(&[arguments, &["-o", "o.csv", "--filter", "madgwick", "--json"]].concat(), folder));
+        object(&imu(&["eval", "o.csv", "in.csv", "--json"], folder))["total_deg"].as_f64().expect("a number")
+    };
+    let (right, wrong) = (total(&["run", "in.csv"]), total(&["run", "wrong.csv"]));
+    let calibrated = total(&["run", "wrong.csv", "--calibration", "c.toml"]);
+    assert!((calibrated - right).abs() < 1e-6 && wrong > right + 5.0, "{right} {wrong} {calibrated}");
+    for (file, sentence) in [
+        ("flat.toml", "flat.toml: expected a finite magnetometer.offset and a magnetometer.matrix"),
+        ("nan.toml", "nan.toml: expected a finite gyr_bias_rad_s"),
+        ("in.csv", "in.csv:1:"),
+        ("none.toml", "none.toml: "),
+    ] {
+        let output = imu(&["run", "wrong.csv", "--calibration", file, "-o", "o.csv"], folder);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{file}: {error}");
+        assert!(error.contains(sentence), "{file}: {error}");
+    }
+}

@@ -8,6 +8,8 @@
 mod alignment;
 mod ellipsoid;
 
+use std::path::Path;
+
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use vergence_geom::log;
 use vergence_sense::Imu;
@@ -82,7 +84,42 @@ pub struct Calibration {
     pub magnetometer: Option<TriadCalibration>,
 }
 
+/// The smallest determinant of a triad's matrix that can be undone: axes that read half as much as they should have 0.125.
+const LEAST_DETERMINANT: f64 = 0.01;
+
 impl Calibration {
+    /// Reads what `vergence imu calibrate` wrote.
+    ///
+    /// # Errors
+    /// File, line and column of what is no calibration; the name of a triad whose numbers are not finite or whose matrix cannot
+    /// be undone.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let read: Self = vergence_config::read(path)?;
+        let wrong =
+            |expected: String, found: String| Error::Mismatch { path: path.to_owned(), expected, found };
+        if !read.gyr_bias_rad_s.iter().all(|bias| bias.is_finite()) {
+            let found = format!("{:?}", read.gyr_bias_rad_s);
+            return Err(wrong("a finite gyr_bias_rad_s".to_owned(), found));
+        }
+        let triads =
+            [("accelerometer", Some(&read.accelerometer)), ("magnetometer", read.magnetometer.as_ref())];
+        for (name, triad) in triads {
+            let Some(triad) = triad else { continue };
+            let (determinant, offset) = (triad.matrix().determinant(), Vector3::from(triad.offset));
+            // NaN fails the comparison.
+            if !(determinant.abs() > LEAST_DETERMINANT && determinant.is_finite() && offset.sum().is_finite())
+            {
+                return Err(wrong(
+                    format!(
+                        "a finite {name}.offset and a {name}.matrix with a determinant of {LEAST_DETERMINANT} or more"
+                    ),
+                    format!("{:?} and a determinant of {determinant}", triad.offset),
+                ));
+            }
+        }
+        Ok(read)
+    }
+
     /// The reading of a unit without these errors.
     pub fn correct(&self, imu: &Imu) -> Imu {
         let magnetic =

@@ -7,6 +7,7 @@ use std::time::Instant;
 
 use clap::ValueEnum;
 use serde_json::json;
+use vergence_inertial::calibrate::Calibration;
 use vergence_inertial::filter::{self, Axes, Kind};
 use vergence_inertial::write_orientations;
 
@@ -34,6 +35,9 @@ pub struct Args {
     /// Parameters of the filter: TOML, one key for each knob as in the documentation of vergence-inertial
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
+    /// What `imu calibrate` found of this unit: taken out of each reading before the filter sees it
+    #[arg(long, value_name = "FILE.toml")]
+    calibration: Option<PathBuf>,
     /// Where to write `t_s,qw,qx,qy,qz`: rotations of sensor-frame vectors into the earth frame, ENU
     #[arg(short, long)]
     out: PathBuf,
@@ -68,7 +72,12 @@ impl ValueEnum for Name {
 impl Args {
     /// Reads, filters, writes.
     pub fn run(self) -> Result<(), Failure> {
-        let recording = input::read(&self.input, self.stream.as_deref())?;
+        let calibration = self.calibration.as_deref().map(Calibration::read).transpose();
+        let calibration = calibration.map_err(|error| Failure::call(&error))?;
+        let mut recording = input::read(&self.input, self.stream.as_deref())?;
+        if let Some(calibration) = calibration {
+            recording.samples.iter_mut().for_each(|(_, imu)| *imu = calibration.correct(imu));
+        }
         let axes = if self.axes == "6" { Axes::Six } else { Axes::Nine };
         if axes == Axes::Nine && !recording.has_mag() {
             return Err(Failure::Call(format!(
