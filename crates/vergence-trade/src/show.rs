@@ -5,6 +5,9 @@ use crate::Trade;
 /// Significant places of costs and errors in tables: more than repeated measurements agree on.
 const DECIMALS: usize = 4;
 
+/// Errors that differ by more than this factor are drawn on a logarithmic axis.
+const WIDE: f64 = 10.0;
+
 impl Trade {
     /// All measurements, the front of the scales `cost` and `error` marked, from the cheapest; what could not be
     /// measured comes last.
@@ -37,7 +40,7 @@ impl Trade {
         table
     }
 
-    /// All measurements over cost and error, with the front as steps and the `chosen` one (if any) on top.
+    /// All measurements over cost (logarithmic) and error, with the front as steps and the `chosen` one (if any) on top.
     ///
     /// # Panics
     /// Where an index is not below the number of scales.
@@ -54,17 +57,24 @@ impl Trade {
         let front = self.pareto(cost, error);
         let labelled = |i: &usize| point(*i).labelled(self.short_label(*i));
         let others = (0..self.measurements.len()).filter(|i| !front.contains(i)).map(point).collect();
-        let mut plot = Plot::new(
-            self.title.clone(),
-            Axis::log(self.costs[cost].title()),
-            Axis::linear(self.errors[error].title()),
-        )
-        .with(Series::new("beaten by another", Style::FaintPoints, others))
-        .with(Series::new(self.front_name(), Style::Steps, front.iter().map(labelled).collect()));
+        let mut plot =
+            Plot::new(self.title.clone(), Axis::log(self.costs[cost].title()), self.error_axis(error))
+                .with(Series::new("beaten by another", Style::FaintPoints, others))
+                .with(Series::new(self.front_name(), Style::Steps, front.iter().map(labelled).collect()));
         if let Some(chosen) = chosen.filter(|i| *i < self.measurements.len()) {
             plot = plot.with(Series::new("chosen", Style::Rings, vec![point(chosen)]));
         }
         plot
+    }
+
+    /// Logarithmic where the errors differ by more than [`WIDE`] and none is zero: on a linear axis the worst would press the rest
+    /// into one line.
+    fn error_axis(&self, error: usize) -> Axis {
+        let finite = self.measurements.iter().map(|m| m.errors[error]).filter(|e| e.is_finite());
+        let (least, most) =
+            finite.fold((f64::INFINITY, 0.0f64), |(least, most), e| (least.min(e), most.max(e)));
+        let title = self.errors[error].title();
+        if least > 0.0 && most > WIDE * least { Axis::log(title) } else { Axis::linear(title) }
     }
 
     /// Says what the labels beside the front mean.

@@ -1,7 +1,7 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use super::saved::saved;
-use super::turn::{enu_from_nwu, from_directions, headed};
+use super::turn::{enu_from_nwu, from_directions, headed, normalised};
 use super::{Clean, Core};
 
 /// The knob of the Madgwick filter.
@@ -90,7 +90,7 @@ impl Core for Madgwick {
                 slope -= down * (self.params.beta / length);
             }
         }
-        self.state.nwu_from_sensor = Some(UnitQuaternion::new_normalize(q + slope * sample.step_s));
+        self.state.nwu_from_sensor = Some(normalised(q + slope * sample.step_s));
     }
 
     fn lost(&mut self, _gap_s: f64) {

@@ -197,12 +197,10 @@ fn a_restored_filter_continues_bit_for_bit() {
     }
 }
 
-/// What the change of the score may be, at least: the resolution of the anchors.
+/// What the change of the score may be, at least: the resolution of the anchors. Beyond it, what VQF changes by, recording by
+/// recording: where samples do not hold what happened between them (the phone's 241 Hz and its harmonics become an inclination
+/// of 0.7° at 100 Hz, in any filter), both change alike, and in the mean VQF hides it by a lag that fits 100 Hz better.
 const INVARIANCE_DEG: f64 = 0.05;
-
-/// The same for the inclination at 100 Hz: taps and a vibrating phone are shorter than its samples, and their acceleration no
-/// longer adds up to zero. VQF loses as much there and wins it back elsewhere, as its lag fits 100 Hz better.
-const UNDERSAMPLED_DEG: f64 = 0.09;
 
 /// Makes a copy that should score alike.
 type Copying<'a> = &'a dyn Fn(&Recording) -> Recording;
@@ -261,17 +259,24 @@ fn turned_resampled_and_biased_copies_score_alike() {
     };
     let mut wrong = Vec::new();
     let kinds = [Kind::Vqf, Kind::Vergence];
-    let scores = |copy: &dyn Fn(&Recording) -> Recording| {
+    type Figures = Vec<[f64; 3]>;
+    let scores = |copy: &dyn Fn(&Recording) -> Recording| -> [Figures; 2] {
+        let copies: Vec<Recording> = trials.iter().map(|(_, trial)| copy(trial)).collect();
         kinds.map(|kind| {
-            mean(trials.iter().map(|(_, trial)| {
-                let copy = copy(trial);
-                let (n, s) = (run(kind, Axes::Nine, &copy), run(kind, Axes::Six, &copy));
+            let figures = |copy| {
+                let (n, s) = (run(kind, Axes::Nine, copy), run(kind, Axes::Six, copy));
                 [nine(&n)[0], six(&s)[0], six(&s)[2]]
-            }))
+            };
+            copies.iter().map(figures).collect()
         })
     };
     let plain = scores(&Recording::clone);
-    println!("plain: vqf {:.3?} vergence {:.3?} (9D total, inclination, 6D start)", plain[0], plain[1]);
+    let average = |figures: &Figures| mean(figures.iter().copied());
+    println!(
+        "plain: vqf {:.3?} vergence {:.3?} (9D total, inclination, 6D start)",
+        average(&plain[0]),
+        average(&plain[1])
+    );
     let copies: [(&str, Copying); 5] = [
         ("turned", &turned),
         ("100 Hz", &|recording| resampled(recording, 100.0)),
@@ -281,12 +286,22 @@ fn turned_resampled_and_biased_copies_score_alike() {
     ];
     for (name, copy) in copies {
         let found = scores(copy);
-        println!("{name}: vqf {:.3?} vergence {:.3?}", found[0], found[1]);
+        // Of the averages, and the average of how much each recording changes.
+        let changes = [0, 1].map(|kind| {
+            let changed = found[kind].iter().zip(&plain[kind]);
+            let each: [f64; 3] =
+                mean(changed.map(|(now, before)| std::array::from_fn(|i| (now[i] - before[i]).abs())));
+            let (now, before) = (average(&found[kind]), average(&plain[kind]));
+            (std::array::from_fn::<f64, 3, _>(|i| now[i] - before[i]), each)
+        });
+        let [(vqf, vqf_each), (ours, ours_each)] = changes;
+        println!(
+            "{name}: changes of the average, vqf {vqf:.3?} vergence {ours:.3?}; of each, {vqf_each:.3?} {ours_each:.3?}"
+        );
         for i in 0..3 {
-            let [vqf, ours] = [0, 1].map(|k| found[k][i] - plain[k][i]);
-            let most = if name == "100 Hz" && i == 1 { UNDERSAMPLED_DEG } else { INVARIANCE_DEG };
-            if ours > most.max(vqf.abs()) {
-                wrong.push(format!("{name}, figure {i}: changes by {ours:.3}, VQF by {vqf:.3}"));
+            let most = INVARIANCE_DEG.max(vqf[i].abs());
+            if ours[i] > most && ours_each[i] > INVARIANCE_DEG.max(vqf_each[i]) {
+                wrong.push(format!("{name}, figure {i}: changes by {:.3}, VQF by {:.3}", ours[i], vqf[i]));
             }
         }
     }

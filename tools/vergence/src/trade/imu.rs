@@ -2,7 +2,6 @@
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -17,6 +16,7 @@ use vergence_time::Span;
 use vergence_trade::{Knob, Limit, Measurement, Scale, Setting, Trade, Value};
 
 use crate::failure::Failure;
+use crate::timing::thread_cpu_ns;
 
 /// Every orientation filter, each at several positions of its main knob: time per sample against degrees
 #[derive(clap::Args)]
@@ -153,12 +153,12 @@ fn measure(
             recording.period().ok_or_else(|| Failure::Work(format!("{}: too short", path.display())))?;
         for _ in 0..REPEATS {
             let mut filter = (candidate.make)(axes, period);
-            let started = Instant::now();
+            let started = thread_cpu_ns();
             for (at, imu) in &recording.samples {
                 filter.update(*at, imu);
                 std::hint::black_box(filter.earth_from_sensor());
             }
-            least_ns = least_ns.min(started.elapsed().as_nanos() as f64 / recording.samples.len() as f64);
+            least_ns = least_ns.min((thread_cpu_ns() - started) / recording.samples.len() as f64);
         }
         let estimates = filter::run((candidate.make)(axes, period).as_mut(), &recording.samples);
         let estimate: Vec<_> = recording.samples.iter().map(|(at, _)| *at).zip(estimates).collect();
@@ -249,8 +249,8 @@ impl ImuTrade {
         };
         let metric = self.metric as usize;
         let mut page = Page::new("What orientation costs").paragraph(&format!(
-            "Mean of {recordings} recordings; time of one sample and one reading of the orientation, one thread, the \
-             fastest of all runs. Without a magnetometer the heading is aligned over the first second of movement."
+            "{}; CPU time of one sample and one reading of the orientation, one thread, the fastest of all runs. Without a magnetometer the heading is aligned over the first second of movement.",
+            if recordings == 1 { "One recording".to_owned() } else { format!("Mean of {recordings} recordings") }
         ));
         for (name, trade) in trades {
             let chosen = chosen.filter(|_| *name == self.axes);

@@ -3,6 +3,7 @@
 mod field;
 mod params;
 mod rates;
+mod rest;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -12,6 +13,7 @@ use super::turn::{level, renormalised, turn};
 use super::{Clean, Core};
 use field::{Field, FieldWindow};
 use rates::{Rates, TiltWindow};
+use rest::{Rest, Stillness};
 
 pub use params::{VergenceCoefficients, VergenceParams};
 
@@ -29,10 +31,7 @@ pub struct VergenceState {
     rates: Rates,
     field: Field,
     acc_low: LowPass<3>,
-    rest_gyr_low: LowPass<3>,
-    rest_acc_low: LowPass<3>,
-    rest_s: f64,
-    rested: bool,
+    rest: Rest,
     /// Whether up has been seen since the start or the last loss.
     started: bool,
     samples: f64,
@@ -50,10 +49,7 @@ saved!(VergenceState {
     rates,
     field,
     acc_low,
-    rest_gyr_low,
-    rest_acc_low,
-    rest_s,
-    rested,
+    rest,
     started,
     samples,
     tilted,
@@ -90,10 +86,7 @@ impl Vergence {
             rates: Rates::new(&params, &coefficients),
             field: Field::new(&params),
             acc_low: LowPass::default(),
-            rest_gyr_low: LowPass::default(),
-            rest_acc_low: LowPass::default(),
-            rest_s: 0.0,
-            rested: true,
+            rest: Rest::default(),
             started: false,
             samples: 0.0,
             tilted: 0.0,
@@ -123,34 +116,30 @@ impl Vergence {
         self.state.field.estimate.x.fixed_rows::<3>(3).into_owned()
     }
 
-    #[inline]
-    fn rest(&mut self, gyr: &Vector3<f64>, acc: &Vector3<f64>) -> Vector3<f64> {
-        let (s, c) = (&mut self.state, &self.coefficients);
-        let gyr_mean = s.rest_gyr_low.step(gyr, &c.rest);
-        let acc_mean = s.rest_acc_low.step(acc, &c.rest);
-        let moves = (gyr - gyr_mean).norm_squared() > c.rest_gyr_squared
-            || (acc - acc_mean).norm_squared() > c.rest_acc_squared
-            || gyr_mean.amax() > c.bias_limit;
-        s.rest_s = if moves { 0.0 } else { s.rest_s + c.period_s };
-        s.rested &= s.rest_s >= self.params.rest_min_s;
-        gyr_mean
-    }
-
-    fn end_window(&mut self, gyr_mean: &Vector3<f64>) {
+    fn end_window(&mut self) {
         let (s, p, c) = (&mut self.state, &self.params, &self.coefficients);
+        let stillness = s.rest.end(s.rates.centre(), p, c);
+        if let Stillness::RestsFarOff { rate } = stillness {
+            // What was thought to be motion was bias: all but that starts anew.
+            let rest = s.rest.clone();
+            self.lost(0.0);
+            self.state.rest = rest;
+            self.state.rates.centre_on(rate, &self.coefficients);
+            return;
+        }
+        let rested = matches!(stillness, Stillness::Rests { .. });
         // A window with holes says what it says about fewer samples; it is not used.
         if s.tilted >= c.window {
-            s.rates.learn(&s.tilt_window, s.rested, gyr_mean, p, c);
+            s.rates.learn(&s.tilt_window, stillness, p, c);
         }
         if s.field_window.samples >= 0.5 * c.window {
-            s.field.learn(&s.field_window, s.rested, p, c);
+            s.field.learn(&s.field_window, rested, p, c);
             s.earth_from_level = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), s.field.heading_rad());
         }
         s.tilt_window = TiltWindow::default();
         s.field_window = FieldWindow::default();
         s.samples = 0.0;
         s.tilted = 0.0;
-        s.rested = true;
     }
 }
 
@@ -174,10 +163,8 @@ impl Core for Vergence {
         s.samples += 1.0;
         let inertial = s.inertial_from_sensor.to_rotation_matrix();
         let Some(acc) = &sample.acc_m_s2 else {
-            s.rest_s = 0.0;
-            s.rested = false;
             if s.samples >= c.window {
-                self.end_window(&Vector3::zeros());
+                self.end_window();
             }
             return;
         };
@@ -200,19 +187,16 @@ impl Core for Vergence {
                 s.field_window.add(&r, &caught_up(mag, &rate, c.mag_lag_s), rate.norm());
             }
         }
-        let gyr_mean = self.rest(&sample.gyr_rad_s, acc);
-        if self.state.samples >= self.coefficients.window {
-            self.end_window(&gyr_mean);
+        s.rest.add(&sample.gyr_rad_s, acc);
+        if s.samples >= c.window {
+            self.end_window();
         }
     }
 
     fn lost(&mut self, gap_s: f64) {
         let (s, c) = (&mut self.state, &self.coefficients);
         s.acc_low = LowPass::default();
-        s.rest_gyr_low = LowPass::default();
-        s.rest_acc_low = LowPass::default();
-        s.rest_s = 0.0;
-        s.rested = false;
+        s.rest.lost();
         s.started = false;
         s.samples = 0.0;
         s.tilted = 0.0;

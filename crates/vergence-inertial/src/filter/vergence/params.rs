@@ -20,7 +20,8 @@ pub struct VergenceParams {
     pub window_s: f64,
     /// Standard deviation of the bias at the start, degrees per second; 0.05 to 5. Default 1.
     pub bias_sigma_deg_s: f64,
-    /// Largest bias, degrees per second; also the largest mean rate that counts as rest. Default 2.
+    /// Largest bias, degrees per second; also the largest mean rate that counts as rest. A unit that rests before it ever
+    /// does anything else may have up to 20, once it has rested for three seconds. Default 2.
     pub bias_limit_deg_s: f64,
     /// How much the bias wanders within 100 s, degrees per second; 0.005 to 0.2. Default 0.08.
     pub bias_wander_deg_s: f64,
@@ -34,13 +35,14 @@ pub struct VergenceParams {
     pub tilt_outlier_deg_s: f64,
     /// How much the variance of that noise grows with the square of the horizontal acceleration, s⁴/m²; 0 to 1. Default 0.006.
     pub tilt_noise_per_acc: f64,
-    /// Noise of the mean rate at rest, degrees per second over one second; 0.001 to 0.1. Default 0.004.
+    /// Noise of the mean rate at rest, degrees per second over one second, beside what it is seen to scatter by; 0.001 to 0.1.
+    /// Default 0.01.
     pub rest_noise_deg_s: f64,
     /// How long it must be still to count as rest, seconds. Default 1.5.
     pub rest_min_s: f64,
-    /// Largest deviation of the rate from its mean at rest, degrees per second. Default 2.
+    /// Largest deviation of a window's mean rate from that of the last half second at rest, degrees per second. Default 1.
     pub rest_gyr_deg_s: f64,
-    /// Largest deviation of the specific force from its mean at rest, metres per second squared. Default 0.5.
+    /// The same of the specific force, metres per second squared. Default 0.2.
     pub rest_acc_m_s2: f64,
     /// Standard deviation of the magnetometer's offset at the start, microteslas; 0.2 to 10. Large: learns an offset that was
     /// there from the start fast, and takes an uneven field for one. Default 0.8.
@@ -78,10 +80,10 @@ impl Default for VergenceParams {
             tilt_noise_deg_s: 0.35,
             tilt_outlier_deg_s: 1.0,
             tilt_noise_per_acc: 0.006,
-            rest_noise_deg_s: 0.004,
+            rest_noise_deg_s: 0.01,
             rest_min_s: 1.5,
-            rest_gyr_deg_s: 2.0,
-            rest_acc_m_s2: 0.5,
+            rest_gyr_deg_s: 1.0,
+            rest_acc_m_s2: 0.2,
             offset_sigma_ut: 0.8,
             field_noise_ut: 6.0,
             field_outlier_ut: 2.5,
@@ -93,8 +95,8 @@ impl Default for VergenceParams {
     }
 }
 
-/// Time constant of the low-passes that rest is told by, seconds.
-pub(super) const REST_TAU_S: f64 = 0.5;
+/// Time constant of the means that rest is told by, seconds.
+const REST_TAU_S: f64 = 0.5;
 
 /// What follows from the knobs and the period.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,7 +111,8 @@ pub struct VergenceCoefficients {
     pub(super) window: f64,
     pub(super) window_s: f64,
     pub(super) acc: LowPassCoefficients,
-    pub(super) rest: LowPassCoefficients,
+    /// What one window adds to the means that rest is told by.
+    pub(super) rest_share: f64,
     pub(super) windows: LowPassCoefficients,
     pub(super) rest_gyr_squared: f64,
     pub(super) rest_acc_squared: f64,
@@ -141,7 +144,7 @@ impl VergenceCoefficients {
             window,
             window_s,
             acc: LowPassCoefficients::new(params.tau_acc_s, period_s),
-            rest: LowPassCoefficients::new(REST_TAU_S, period_s),
+            rest_share: 1.0 - (-window_s / REST_TAU_S).exp(),
             windows: LowPassCoefficients::new(params.tau_acc_s, window_s),
             rest_gyr_squared: square_rad(params.rest_gyr_deg_s),
             rest_acc_squared: params.rest_acc_m_s2.powi(2),

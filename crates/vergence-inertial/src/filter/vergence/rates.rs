@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, SVector, Vector2, Vector3};
 
 use super::params::{VergenceCoefficients, VergenceParams};
+use super::rest::Stillness;
 use crate::filter::kalman::Estimate;
 use crate::filter::low_pass::LowPass;
 use crate::filter::saved::saved;
@@ -24,13 +25,15 @@ const FACTOR_WANDER: f64 = 1e-6 / 1800.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rates {
     pub(super) estimate: Estimate<N>,
+    /// The bias lies within the limit about this; zero, or what a first rest far from it said.
+    centre: Vector3<f64>,
     /// The identity minus `M`, as it is applied.
     correction: Matrix3<f64>,
     rows: LowPass<24>,
     seen: LowPass<2>,
 }
 
-saved!(Rates { estimate, correction, rows, seen });
+saved!(Rates { estimate, centre, correction, rows, seen });
 
 /// What one window of samples says.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -95,6 +98,7 @@ impl Rates {
         }
         Self {
             estimate: Estimate { x: SVector::zeros(), p: nalgebra::SMatrix::from_diagonal(&p) },
+            centre: Vector3::zeros(),
             correction: Matrix3::identity(),
             rows: LowPass::default(),
             seen: LowPass::default(),
@@ -118,12 +122,25 @@ impl Rates {
         self.correction * unbiased
     }
 
-    /// Learns from one window in which the sensor `rested` with the mean rate `mean`, or moved.
+    /// About what the limits of the bias lie.
+    pub(super) fn centre(&self) -> &Vector3<f64> {
+        &self.centre
+    }
+
+    /// The bias is near `rate`, whatever was thought before.
+    pub(super) fn centre_on(&mut self, rate: Vector3<f64>, c: &VergenceCoefficients) {
+        self.centre = rate;
+        for i in 0..3 {
+            self.estimate.forget(i, c.bias_p);
+            self.estimate.x[i] = rate[i];
+        }
+    }
+
+    /// Learns from one window.
     pub(super) fn learn(
         &mut self,
         window: &TiltWindow,
-        rested: bool,
-        mean: &Vector3<f64>,
+        stillness: Stillness,
         params: &VergenceParams,
         c: &VergenceCoefficients,
     ) {
@@ -140,11 +157,12 @@ impl Rates {
                 e.p[(i, i)] += FACTOR_WANDER * c.window_s;
             }
         }
-        if rested {
+        if let Stillness::Rests { rate } = stillness {
+            let Some((rate, variance)) = rate else { return };
             for i in 0..3 {
                 let mut row = SVector::<f64, N>::zeros();
                 row[i] = 1.0;
-                e.observe(&row, mean[i], c.rest_r);
+                e.observe(&row, rate[i], variance);
             }
         } else {
             let r = c.tilt_r * (1.0 + params.tilt_noise_per_acc * window.acc_squared / c.window);
@@ -159,8 +177,8 @@ impl Rates {
             }
         }
         for i in 0..N {
-            let limit = if i < 3 { c.bias_limit } else { FACTOR_LIMIT };
-            e.x[i] = e.x[i].clamp(-limit, limit);
+            let (centre, limit) = if i < 3 { (self.centre[i], c.bias_limit) } else { (0.0, FACTOR_LIMIT) };
+            e.x[i] = e.x[i].clamp(centre - limit, centre + limit);
         }
         self.correction = Matrix3::identity() - Matrix3::from_row_slice(e.x.fixed_rows::<9>(3).as_slice());
     }
@@ -184,7 +202,7 @@ impl Rates {
                 estimate.p[(j, i)] = -estimate.p[(j, i)];
             }
         }
-        let mut reversed = Self { estimate, ..self.clone() };
+        let mut reversed = Self { estimate, centre: -self.centre, ..self.clone() };
         reversed.lost(0.0, c);
         reversed
     }
