@@ -22,6 +22,12 @@ pub trait Source: Send {
 
 /// Something that takes samples: a recorder, a monitor, an estimator.
 pub trait Sink {
+    /// A stream is new at the end of the source's [`Source::streams`], after it was asked for the first time; said before its
+    /// first sample. Who only counts need not know.
+    fn appears(&mut self, place: usize, stream: &SourceStream) {
+        let _ = (place, stream);
+    }
+
     /// Takes a sample of the stream that stands at this place of the source's [`Source::streams`]. Must neither wait nor
     /// fail: who cannot keep up counts what it leaves out.
     fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>);

@@ -4,6 +4,7 @@
 //! for people, or with `--json` one object as the last thing on stdout. Logs and progress go to stderr. Exit status:
 //! 0 done, 1 the work failed, 2 the call was wrong.
 
+mod devices;
 mod doctor;
 mod failure;
 mod framing;
@@ -13,6 +14,7 @@ mod log;
 mod logging;
 mod plan;
 mod quality;
+mod record;
 mod render;
 mod replay;
 mod run;
@@ -43,9 +45,11 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     Plan(plan::Args),
+    Devices(devices::Args),
     Doctor(doctor::Args),
     Imu(imu::Args),
     Log(log::Args),
+    Record(record::Args),
     Render(render::Args),
     Replay(replay::Args),
     Run(Box<run::Args>),
@@ -58,9 +62,11 @@ impl Verb {
     fn run(self) -> Result<(), Failure> {
         match self {
             Self::Plan(verb) => verb.run(),
+            Self::Devices(verb) => verb.run(),
             Self::Doctor(verb) => verb.run(),
             Self::Imu(verb) => verb.run(),
             Self::Log(verb) => verb.run(),
+            Self::Record(verb) => verb.run(),
             Self::Render(verb) => verb.run(),
             Self::Replay(verb) => verb.run(),
             Self::Run(verb) => verb.run(),

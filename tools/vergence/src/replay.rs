@@ -32,6 +32,9 @@ pub struct Args {
     /// Runs under Vulkan validation with synchronization validation; a message is a failure
     #[arg(long)]
     validate: bool,
+    /// Of a recording without a scene: prints this stream, a line per sample (captured and arrived in ns, values)
+    #[arg(long, value_name = "STREAM")]
+    print: Option<String>,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
@@ -62,6 +65,9 @@ fn speed(text: &str) -> Result<Speed, String> {
 impl Args {
     /// Replays the session and prints how that went.
     pub fn run(self) -> Result<(), Failure> {
+        if self.print.is_some() || crate::record::is_of_devices(&self.log) {
+            return crate::record::replay(&self.log, self.speed.0, self.print.as_deref(), self.json);
+        }
         let failed = |error: vergence_session::Error| {
             if let vergence_session::Error::Log(error) = &error {
                 crate::log::failed(error)

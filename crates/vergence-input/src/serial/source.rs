@@ -6,13 +6,14 @@ use std::time::Duration;
 use vergence_sense::{Event, Progress, Sample, Sink, Source, SourceStream};
 use vergence_time::{Clock, ClockKnobs, ClockMap, ClockState, Counter, Span, Timestamp};
 
-use super::describe::{Description, reading, unique};
+use super::describe::{Description, unique};
 use super::frame::{DESCRIPTIONS, Decoder, Tally};
 use super::lines::{Columns, Lines};
 use super::port::{Port, found, open};
 use crate::connection::{ClockReport, TRY_AGAIN, own_streams, tell};
 use crate::error::Error;
 use crate::found::Found;
+use crate::values::reading;
 
 /// So many bytes without a frame or a line are not the protocol's; at 9600 baud two seconds.
 const FOREIGN_BYTES: u64 = 2048;
@@ -60,6 +61,13 @@ impl Default for SerialConfig {
             least_latency: Span::ZERO,
         }
     }
+}
+
+/// Who is asked before anybody listens.
+struct Nobody;
+
+impl Sink for Nobody {
+    fn take(&mut self, _: usize, _: vergence_sense::Sample<vergence_sense::Reading<'_>>) {}
 }
 
 /// What became of what a device sent.
@@ -159,10 +167,10 @@ impl SerialSource {
             config,
         };
         for (number, description) in source.config.streams.clone() {
-            source.describe(number, &[], description);
+            source.describe(number, &[], description, &mut Nobody);
         }
         if let Some(columns) = source.config.columns.clone() {
-            source.take_columns(columns);
+            source.take_columns(columns, &mut Nobody);
         }
         source
     }
@@ -177,20 +185,22 @@ impl SerialSource {
         if self.config.format == Format::Lines { self.lines_map.state() } else { self.map.state() }
     }
 
-    fn describe(&mut self, number: u8, text: &[u8], description: Description) {
+    fn describe(&mut self, number: u8, text: &[u8], description: Description, sink: &mut dyn Sink) {
         let slot = &mut self.known[usize::from(number)];
         let place = match slot {
             Some(known) if known.description == description => known.place,
             _ => {
                 let name = unique(description.name(), &self.streams);
-                self.streams.push(description.stream(name.into_owned()));
+                let stream = description.stream(name.into_owned());
+                sink.appears(self.streams.len(), &stream);
+                self.streams.push(stream);
                 self.streams.len() - 1
             }
         };
         *slot = Some(Known { place, text: text.to_owned(), description });
     }
 
-    fn take_columns(&mut self, columns: Columns) {
+    fn take_columns(&mut self, columns: Columns, sink: &mut dyn Sink) {
         if self.columns.as_ref() == Some(&columns) {
             return;
         }
@@ -198,6 +208,7 @@ impl SerialSource {
         for (name, kind, unit) in columns.streams() {
             let name = unique(name, &self.streams);
             let stream = SourceStream::new(name, kind).unit(unit.to_owned());
+            sink.appears(self.streams.len(), &stream);
             self.streams.push(stream);
         }
         self.columns = Some(columns);
@@ -250,7 +261,7 @@ impl SerialSource {
             self.missing(u64::from(sequence), 16, arrived, sink);
             if let Some((number, text)) = described {
                 match String::from_utf8_lossy(&text).parse::<Description>() {
-                    Ok(description) => self.describe(number, &text, description),
+                    Ok(description) => self.describe(number, &text, description, sink),
                     Err(error) => {
                         log::warn!("stream {number}: {error}");
                         tell(
@@ -284,7 +295,7 @@ impl SerialSource {
                 match Columns::parse(text) {
                     Some(columns) => {
                         text.clone_into(&mut self.columns_text);
-                        self.take_columns(columns);
+                        self.take_columns(columns, sink);
                     }
                     None => self.totals.broken_lines += 1,
                 }

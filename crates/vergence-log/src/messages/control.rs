@@ -1,6 +1,6 @@
 //! Buttons, axes, directions, pulses, plain numbers.
 
-use vergence_sense::{Axis, Button, Haptic, Sample, Scalar, Vector2};
+use vergence_sense::{Axis, Button, Haptic, Sample, Scalar, Touch, TouchPhase, Vector2};
 use vergence_time::Span;
 
 use super::{ARRIVED_NS, CAPTURED_NS, Gathered, put_times};
@@ -185,5 +185,54 @@ impl Message for Scalar {
             Ok(())
         })?;
         Ok(times.sample(Self(scalar)))
+    }
+}
+
+const PHASES: [TouchPhase; 5] =
+    [TouchPhase::Hovers, TouchPhase::Begins, TouchPhase::Moves, TouchPhase::Ends, TouchPhase::Cancelled];
+
+impl Message for Touch {
+    const NAME: &'static str = "Touch";
+    const UNIT: &'static str = "px";
+    const SCHEMA: &'static Schema = &Schema {
+        name: "vergence.Touch",
+        about: "What a finger, a pen or a pointer does on a surface.",
+        fields: &[
+            CAPTURED_NS,
+            ARRIVED_NS,
+            Field::one("contact", 3, Kind::Uint32, "the same from the first touch to the last"),
+            Field::one("x", 4, Kind::Double, "to the right, in the stream's unit"),
+            Field::one("y", 5, Kind::Double, "down, in the stream's unit"),
+            Field::one("phase", 6, Kind::Uint32, "0 hovers, 1 begins, 2 moves, 3 ends, 4 cancelled"),
+        ],
+    };
+
+    fn encode(&self, times: Times, _frame: &str, out: &mut Encoder<'_>) {
+        put_times(times, out);
+        out.uint(3, u64::from(self.contact));
+        out.double(4, self.position[0]);
+        out.double(5, self.position[1]);
+        out.uint(6, PHASES.iter().position(|phase| *phase == self.phase).unwrap_or(0) as u64);
+    }
+
+    fn decode(bytes: &[u8]) -> Result<Sample<Self>, WireError> {
+        let (mut times, mut contact, mut position, mut phase) = (Gathered::default(), 0, [0.0; 2], 0);
+        Decoder::new(bytes).each(|number, value| {
+            match number {
+                3 => contact = value.uint()?,
+                4 => position[0] = value.double()?,
+                5 => position[1] = value.double()?,
+                6 => phase = value.uint()?,
+                _ => drop(times.take(number, value)?),
+            }
+            Ok(())
+        })?;
+        let refuse =
+            |what, expected, found: u64| Err(WireError::Value { what, expected, found: found.to_string() });
+        let Ok(contact) = u32::try_from(contact) else { return refuse("a contact", "32 bits", contact) };
+        let Some(&phase) = usize::try_from(phase).ok().and_then(|phase| PHASES.get(phase)) else {
+            return refuse("what a contact does", "0 to 4", phase);
+        };
+        Ok(times.sample(Self { contact, position, phase }))
     }
 }

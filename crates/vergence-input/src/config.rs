@@ -1,0 +1,142 @@
+//! How devices are read, from a file.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::error::Error;
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Raw {
+    #[serde(default)]
+    serial: RawSerial,
+    #[serde(default)]
+    hid: RawHid,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[cfg_attr(not(feature = "serial"), allow(dead_code))]
+struct RawSerial {
+    baud: Option<u32>,
+    format: Option<RawFormat>,
+    least_latency: Option<vergence_config::Duration>,
+    columns: Option<String>,
+    #[serde(default)]
+    streams: BTreeMap<String, String>,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[cfg_attr(not(feature = "serial"), allow(dead_code))]
+enum RawFormat {
+    Either,
+    Frames,
+    Lines,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawHid {
+    #[serde(default)]
+    mappings: Vec<PathBuf>,
+}
+
+/// How devices are read: what the adapters' defaults do not know of them.
+#[derive(Clone, Debug, Default)]
+pub struct Config {
+    /// For serial devices.
+    #[cfg(feature = "serial")]
+    pub serial: crate::serial::SerialConfig,
+    /// Mapping files that come before those that are built in.
+    pub hid_mappings: Vec<PathBuf>,
+}
+
+impl Config {
+    /// From a TOML file; paths in it are from where it lies.
+    ///
+    /// # Errors
+    /// With the place in the file where it is wrong.
+    pub fn read(path: &Path) -> Result<Self, Error> {
+        let raw: Raw = vergence_config::read(path)?;
+        Self::resolve(raw, path)
+    }
+
+    fn resolve(raw: Raw, path: &Path) -> Result<Self, Error> {
+        #[cfg_attr(not(feature = "serial"), allow(unused_mut))]
+        let mut config = Self::default();
+        #[cfg(feature = "serial")]
+        {
+            use crate::serial::Format;
+            use crate::serial::lines::Columns;
+            let text = std::fs::read_to_string(path).unwrap_or_default();
+            let refuse = |word: &str, message: &str| {
+                vergence_config::invalid_at(path, &text, text.find(word).unwrap_or(0), message)
+            };
+            let serial = &mut config.serial;
+            if let Some(baud) = raw.serial.baud {
+                serial.baud = baud;
+            }
+            serial.format = match raw.serial.format {
+                None | Some(RawFormat::Either) => Format::Either,
+                Some(RawFormat::Frames) => Format::Frames,
+                Some(RawFormat::Lines) => Format::Lines,
+            };
+            if let Some(least) = raw.serial.least_latency {
+                serial.least_latency =
+                    vergence_time::Span::from_secs_f64(least.seconds()).unwrap_or(vergence_time::Span::ZERO);
+            }
+            for (number, description) in raw.serial.streams {
+                let stream = number.parse().ok().filter(|number: &u8| *number > 0);
+                let stream =
+                    stream.ok_or_else(|| refuse(&number, "expected the number of a stream, 1 to 255"))?;
+                let known = description.parse().map_err(|error: crate::serial::DescriptionError| {
+                    refuse(&description, &error.to_string())
+                })?;
+                serial.streams.push((stream, known));
+            }
+            if let Some(columns) = raw.serial.columns {
+                let known = Columns::parse(&columns);
+                serial.columns =
+                    Some(known.ok_or_else(|| refuse(&columns, "expected names separated by commas"))?);
+            }
+        }
+        let beside = |mapping: PathBuf| path.parent().unwrap_or(Path::new("")).join(mapping);
+        config.hid_mappings = raw.hid.mappings.into_iter().map(beside).collect();
+        Ok(config)
+    }
+}
+
+#[cfg(all(test, feature = "serial"))]
+mod tests {
+    use super::*;
+
+    fn config(text: &str) -> Result<Config, Error> {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        std::fs::write(file.path(), text).expect("written");
+        Config::read(file.path())
+    }
+
+    #[test]
+    fn a_file_says_what_a_device_does_not() {
+        let text = "[serial]\nbaud = 921600\nleast_latency = \"2 ms\"\n[serial.streams]\n1 = \"imu imu i16 0.001\"\n";
+        let config = config(text).expect("written");
+        assert_eq!((config.serial.baud, config.serial.streams.len()), (921_600, 1));
+        assert_eq!(config.serial.least_latency, vergence_time::Span::from_millis(2));
+    }
+
+    #[test]
+    fn errors_name_the_place() {
+        for (text, place) in [
+            ("[serial]\nbuad = 1", ":2:1"),
+            ("[serial.streams]\n1 = \"imu imu i12\"", ":2:6"),
+            ("[serial.streams]\n0 = \"imu imu i16\"", ":2:1"),
+            ("[serial]\ncolumns = \"1,2\"", ":2:12"),
+        ] {
+            let error = config(text).unwrap_err().to_string();
+            assert!(error.contains(place), "{error}");
+        }
+    }
+}

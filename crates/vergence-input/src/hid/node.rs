@@ -1,0 +1,115 @@
+//! The HID devices that there are, and reading from one.
+
+use std::collections::BTreeMap;
+use std::ffi::CString;
+use std::io::{Error, ErrorKind};
+use std::time::Duration;
+
+use hidapi::{HidApi, HidDevice};
+
+use super::mapping::{Identity, Mapping};
+use crate::config::Config;
+use crate::found::Found;
+
+/// Where reports of a device come from.
+pub trait Reports: Send {
+    /// Reads one report, its number first where the device has several kinds, waiting at most `longest` for it; 0 where none
+    /// came.
+    ///
+    /// # Errors
+    /// Where the device is gone.
+    fn read(&mut self, report: &mut [u8], longest: Duration) -> std::io::Result<usize>;
+
+    /// Its report descriptor.
+    ///
+    /// # Errors
+    /// Where the device is gone.
+    fn descriptor(&self) -> std::io::Result<Vec<u8>>;
+}
+
+impl Reports for HidDevice {
+    fn read(&mut self, report: &mut [u8], longest: Duration) -> std::io::Result<usize> {
+        let millis = i32::try_from(longest.as_millis()).unwrap_or(i32::MAX);
+        self.read_timeout(report, millis).map_err(|error| Error::new(ErrorKind::BrokenPipe, error))
+    }
+
+    fn descriptor(&self) -> std::io::Result<Vec<u8>> {
+        let mut bytes = vec![0; 4096];
+        let length = self.get_report_descriptor(&mut bytes).map_err(Error::other)?;
+        bytes.truncate(length);
+        Ok(bytes)
+    }
+}
+
+/// Every HID device, as mappings see it.
+fn all() -> Vec<(Found, Identity)> {
+    let api = match HidApi::new() {
+        Ok(api) => api,
+        Err(error) => {
+            log::debug!("HID devices cannot be listed: {error}");
+            return Vec::new();
+        }
+    };
+    // One entry for each usage of a node.
+    let mut nodes: BTreeMap<String, (Found, Identity)> = BTreeMap::new();
+    for info in api.device_list() {
+        let path = info.path().to_string_lossy().into_owned();
+        let (_, identity) = nodes.entry(path.clone()).or_insert_with(|| {
+            let mut found = Found::new("hid", path);
+            (found.vendor_id, found.product_id) = (Some(info.vendor_id()), Some(info.product_id()));
+            found.serial_number = info.serial_number().filter(|text| !text.is_empty()).map(str::to_owned);
+            let maker = info.manufacturer_string().unwrap_or_default();
+            let product = info.product_string().unwrap_or_default();
+            let name = format!("{maker} {product}");
+            if !name.trim().is_empty() {
+                name.trim().clone_into(&mut found.name);
+            }
+            let identity =
+                Identity { vendor_id: info.vendor_id(), product_id: info.product_id(), usages: Vec::new() };
+            (found, identity)
+        });
+        identity.usages.push((info.usage_page(), info.usage()));
+    }
+    nodes.into_values().collect()
+}
+
+/// The mappings: those of the configuration first. One that cannot be read is said, and left out.
+pub(super) fn mappings(config: &Config) -> Vec<Mapping> {
+    let mut mappings = Vec::new();
+    for path in &config.hid_mappings {
+        match Mapping::read(path) {
+            Ok(mapping) => mappings.push(mapping),
+            Err(error) => log::warn!("{error}"),
+        }
+    }
+    mappings.extend(Mapping::shipped());
+    mappings
+}
+
+/// The HID devices for which there is a mapping.
+pub fn found(config: &Config) -> Vec<Found> {
+    let mappings = mappings(config);
+    let mapped = all().into_iter().filter_map(|(mut found, identity)| {
+        let mapping = mappings.iter().find(|mapping| mapping.fits(&identity))?;
+        found.streams = mapping.streams().map(str::to_owned).collect();
+        found.check_access("input");
+        Some(found)
+    });
+    mapped.collect()
+}
+
+/// The mapping for a device, and the node that it has now, perhaps another than before.
+pub(super) fn look_up(device: &Found, config: &Config) -> Option<(Found, Mapping)> {
+    let nodes = all();
+    let same_path = nodes.iter().find(|(found, _)| found.path == device.path && found.is_same_device(device));
+    let (found, identity) =
+        same_path.or_else(|| nodes.iter().find(|(found, _)| found.is_same_device(device)))?;
+    let mapping = mappings(config).into_iter().find(|mapping| mapping.fits(identity))?;
+    Some((found.clone(), mapping))
+}
+
+pub(super) fn open(path: &str) -> std::io::Result<HidDevice> {
+    let path = CString::new(path).map_err(Error::other)?;
+    let api = HidApi::new().map_err(Error::other)?;
+    api.open_path(&path).map_err(Error::other)
+}

@@ -1,0 +1,258 @@
+//! Sources and logs: a source's way into a recording, and a recording as a source.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use vergence_sense::{
+    Axis, Button, Event, Gaze, Image, Imu, Pose, Progress, Reading, ReadingKind, Sample, Scalar, Sink,
+    Source, SourceStream, Touch, Vector2,
+};
+use vergence_time::Timestamp;
+
+use crate::error::Error;
+use crate::lane::Lane;
+use crate::message::{Message, Stream, StreamDesc, Times};
+use crate::reader::{Entry, Reader, StreamInfo};
+use crate::recorder::Recorder;
+
+/// A recorded stream of any kind.
+enum Any {
+    Button(Stream<Button>),
+    Axis(Stream<Axis>),
+    Vector2(Stream<Vector2>),
+    Touch(Stream<Touch>),
+    Scalar(Stream<Scalar>),
+    Imu(Stream<Imu>),
+    Pose(Stream<Pose>),
+    Gaze(Stream<Gaze>),
+    Image(Stream<Image<'static>>),
+    Event(Stream<Event>),
+}
+
+/// One source's way into a recording: a sink with a queue of its own, so that each source may have a thread. Taking a
+/// sample neither locks nor allocates; a stream that appears does both, once.
+pub struct SourceLane {
+    recorder: Arc<Mutex<Recorder>>,
+    lane: Lane,
+    prefix: String,
+    streams: Vec<Option<Any>>,
+    taken: u64,
+}
+
+impl SourceLane {
+    /// For a source with these streams, which are recorded as `/NAME/…`; `name` has no slash in front.
+    ///
+    /// # Errors
+    /// Where the recording refuses a stream: it has one of that name.
+    pub fn new(recorder: &Arc<Mutex<Recorder>>, name: &str, streams: &[SourceStream]) -> Result<Self, Error> {
+        let lane = recorder.lock().unwrap_or_else(PoisonError::into_inner).lane();
+        let (recorder, streams_of) = (recorder.clone(), streams);
+        let prefix = format!("/{name}");
+        let mut lane = Self { recorder, lane, prefix, streams: Vec::with_capacity(64), taken: 0 };
+        for stream in streams_of {
+            let added = lane.add(stream)?;
+            lane.streams.push(Some(added));
+        }
+        Ok(lane)
+    }
+
+    fn add(&self, stream: &SourceStream) -> Result<Any, Error> {
+        let mut desc = StreamDesc::new(format!("{}/{}", self.prefix, stream.name)).frame(&*stream.frame);
+        if !stream.unit.is_empty() {
+            desc = desc.unit(&*stream.unit);
+        }
+        if let Some(rate_hz) = stream.rate_hz {
+            desc = desc.note("declared_rate_hz", rate_hz.to_string());
+        }
+        let mut recorder = self.recorder.lock().unwrap_or_else(PoisonError::into_inner);
+        Ok(match stream.kind {
+            ReadingKind::Button => Any::Button(recorder.stream(&desc)?),
+            ReadingKind::Axis => Any::Axis(recorder.stream(&desc)?),
+            ReadingKind::Vector2 => Any::Vector2(recorder.stream(&desc)?),
+            ReadingKind::Touch => Any::Touch(recorder.stream(&desc)?),
+            ReadingKind::Scalar => Any::Scalar(recorder.stream(&desc)?),
+            ReadingKind::Imu => Any::Imu(recorder.stream(&desc)?),
+            ReadingKind::Pose => Any::Pose(recorder.stream(&desc)?),
+            ReadingKind::Gaze => Any::Gaze(recorder.stream(&desc)?),
+            ReadingKind::Image => Any::Image(recorder.stream(&desc)?),
+            ReadingKind::Event => Any::Event(recorder.stream(&desc)?),
+        })
+    }
+
+    /// Samples that were taken; which of them found the queue full, the recorder counts.
+    pub fn taken(&self) -> u64 {
+        self.taken
+    }
+}
+
+impl Sink for SourceLane {
+    fn appears(&mut self, place: usize, stream: &SourceStream) {
+        if self.streams.len() <= place {
+            self.streams.resize_with(place + 1, || None);
+        }
+        match self.add(stream) {
+            Ok(stream) => self.streams[place] = Some(stream),
+            Err(error) => log::warn!("not recorded: {error}"),
+        }
+    }
+
+    fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
+        let Some(Some(stream)) = self.streams.get(stream) else { return };
+        let (lane, times) = (&mut self.lane, Times::new(sample.captured, sample.arrived));
+        match (stream, &sample.value) {
+            (Any::Button(stream), Reading::Button(value)) => lane.write(stream, times, value),
+            (Any::Axis(stream), Reading::Axis(value)) => lane.write(stream, times, value),
+            (Any::Vector2(stream), Reading::Vector2(value)) => lane.write(stream, times, value),
+            (Any::Touch(stream), Reading::Touch(value)) => lane.write(stream, times, value),
+            (Any::Scalar(stream), Reading::Scalar(value)) => lane.write(stream, times, value),
+            (Any::Imu(stream), Reading::Imu(value)) => lane.write(stream, times, value),
+            (Any::Pose(stream), Reading::Pose(value)) => lane.write(stream, times, value),
+            (Any::Gaze(stream), Reading::Gaze(value)) => lane.write(stream, times, value),
+            (Any::Image(stream), Reading::Image(value)) => lane.write(stream, times, value),
+            (Any::Event(stream), Reading::Event(value)) => lane.write(stream, times, value),
+            // Another kind than the stream's: the source's mistake, which a recording must survive.
+            _ => return,
+        }
+        self.taken += 1;
+    }
+}
+
+/// A recording as a source: every stream of a kind that sources have, in the order of arrival.
+pub struct LogSource {
+    reader: Reader,
+    streams: Vec<SourceStream>,
+    /// Place of the stream with each number of the file; unknown until it is met.
+    places: Vec<Option<usize>>,
+    /// Read ahead of time.
+    next: Option<(usize, Sample<Reading<'static>>)>,
+    failure: Option<Error>,
+    ended: bool,
+}
+
+/// Which kind a recorded type is.
+fn kind_of(stream: &StreamInfo) -> Option<ReadingKind> {
+    Some(match stream.type_name() {
+        Button::NAME => ReadingKind::Button,
+        Axis::NAME => ReadingKind::Axis,
+        Vector2::NAME => ReadingKind::Vector2,
+        Touch::NAME => ReadingKind::Touch,
+        Scalar::NAME => ReadingKind::Scalar,
+        Imu::NAME => ReadingKind::Imu,
+        Pose::NAME => ReadingKind::Pose,
+        Gaze::NAME => ReadingKind::Gaze,
+        <Image<'_> as Message>::NAME => ReadingKind::Image,
+        Event::NAME => ReadingKind::Event,
+        _ => return None,
+    })
+}
+
+fn decode(kind: ReadingKind, entry: &Entry<'_>) -> Result<Sample<Reading<'static>>, Error> {
+    fn as_reading<T: Message>(
+        entry: &Entry<'_>,
+        wrap: impl FnOnce(T) -> Reading<'static>,
+    ) -> Result<Sample<Reading<'static>>, Error> {
+        let Sample { captured, arrived, value } = entry.decode::<T>()?;
+        Ok(Sample { captured, arrived, value: wrap(value) })
+    }
+    match kind {
+        ReadingKind::Button => as_reading(entry, Reading::Button),
+        ReadingKind::Axis => as_reading(entry, Reading::Axis),
+        ReadingKind::Vector2 => as_reading(entry, Reading::Vector2),
+        ReadingKind::Touch => as_reading(entry, Reading::Touch),
+        ReadingKind::Scalar => as_reading(entry, Reading::Scalar),
+        ReadingKind::Imu => as_reading(entry, Reading::Imu),
+        ReadingKind::Pose => as_reading(entry, Reading::Pose),
+        ReadingKind::Gaze => as_reading(entry, Reading::Gaze),
+        ReadingKind::Image => as_reading::<Image<'static>>(entry, Reading::Image),
+        ReadingKind::Event => as_reading(entry, Reading::Event),
+    }
+}
+
+impl LogSource {
+    /// Of this log; streams become known as they are met.
+    pub fn new(reader: Reader) -> Self {
+        Self { reader, streams: Vec::new(), places: Vec::new(), next: None, failure: None, ended: false }
+    }
+
+    /// Why the log could not be read to its end, once.
+    pub fn failure(&mut self) -> Option<Error> {
+        self.failure.take()
+    }
+
+    /// The log's reader.
+    pub fn reader(&self) -> &Reader {
+        &self.reader
+    }
+
+    fn read(&mut self, sink: &mut dyn Sink) -> Option<(usize, Sample<Reading<'static>>)> {
+        loop {
+            let read = self.reader.next();
+            let entry = match read {
+                Ok(Some(entry)) => entry,
+                Ok(None) => break,
+                Err(error) => {
+                    self.failure = Some(error);
+                    break;
+                }
+            };
+            let Some(kind) = kind_of(entry.stream) else { continue };
+            let id = usize::from(entry.stream.id);
+            if self.places.len() <= id {
+                self.places.resize(id + 1, None);
+            }
+            let place = match self.places[id] {
+                Some(place) => place,
+                None => {
+                    let stream = SourceStream::new(entry.stream.name.trim_start_matches('/'), kind)
+                        .unit(entry.stream.unit().to_owned())
+                        .frame(entry.stream.frame().to_owned());
+                    let place = self.streams.len();
+                    sink.appears(place, &stream);
+                    self.streams.push(stream);
+                    self.places[id] = Some(place);
+                    place
+                }
+            };
+            match decode(kind, &entry) {
+                Ok(sample) => return Some((place, sample)),
+                Err(error) => {
+                    self.failure = Some(error);
+                    break;
+                }
+            }
+        }
+        self.ended = true;
+        None
+    }
+}
+
+impl Source for LogSource {
+    fn streams(&self) -> &[SourceStream] {
+        &self.streams
+    }
+
+    fn advance(&mut self, until: Timestamp, sink: &mut dyn Sink) -> Progress {
+        let mut gave = false;
+        loop {
+            let next = match self.next.take() {
+                Some(next) => Some(next),
+                None if self.ended => None,
+                None => self.read(sink),
+            };
+            match next {
+                None if gave => return Progress::Gave,
+                None => return Progress::Ended,
+                Some((place, sample)) if sample.arrived >= until && until != LAST => {
+                    self.next = Some((place, sample));
+                    return if gave { Progress::Gave } else { Progress::Idle };
+                }
+                Some((place, sample)) => {
+                    sink.take(place, sample);
+                    gave = true;
+                }
+            }
+        }
+    }
+}
+
+/// The end of time: everything arrives before it, also what arrives at it.
+const LAST: Timestamp = Timestamp::from_nanos(i64::MAX);

@@ -1,0 +1,295 @@
+//! `vergence devices`: what is plugged in, and what it says.
+
+use std::collections::BTreeMap;
+use std::io::{IsTerminal, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use vergence_input::Found;
+use vergence_sense::{Progress, Reading, Sample, Sink, Source, SourceStream};
+use vergence_time::{Clock, HostClock, Span};
+
+use crate::failure::Failure;
+
+/// Lists the devices that are plugged in, shows what they say
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(clap::Subcommand)]
+enum Verb {
+    /// What is plugged in, which adapter reads it, what stands in the way and the command that mends it
+    List {
+        /// Prints one JSON object: an array of devices
+        #[arg(long)]
+        json: bool,
+    },
+    /// Values, rates, gaps, latency and clock of devices, as they come; ends with Ctrl-C
+    Monitor(Monitor),
+}
+
+#[derive(clap::Args)]
+struct Monitor {
+    /// Paths, or parts of names; as for `record --device` [default: every device that can be read]
+    #[arg(value_name = "DEVICE")]
+    devices: Vec<String>,
+    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Ends after so many seconds [default: with Ctrl-C]
+    #[arg(long, value_name = "SECONDS")]
+    seconds: Option<f64>,
+}
+
+impl Args {
+    /// Does it.
+    pub fn run(self) -> Result<(), Failure> {
+        match self.verb {
+            Verb::List { json } => list(json),
+            Verb::Monitor(monitor) => monitor.run(),
+        }
+    }
+}
+
+/// From the adapters: a device or a file that is not there is a wrong call.
+pub fn failed(error: &vergence_input::Error) -> Failure {
+    match error {
+        vergence_input::Error::NoDevice { .. } | vergence_input::Error::Config(_) => Failure::call(error),
+        _ => Failure::work(error),
+    }
+}
+
+fn list(json: bool) -> Result<(), Failure> {
+    let found = vergence_input::found(&vergence_input::Config::default());
+    if json {
+        println!("{}", serde_json::to_string(&found).map_err(|error| Failure::work(&error))?);
+        return Ok(());
+    }
+    if found.is_empty() {
+        println!("No gamepad, HID device with a mapping, or serial device is plugged in.");
+        return Ok(());
+    }
+    for device in found {
+        let ids = device.vendor_id.zip(device.product_id);
+        let ids = ids.map_or_else(String::new, |(vendor, product)| format!("  {vendor:04x}:{product:04x}"));
+        println!("{:8} {}  {}{ids}", device.adapter, device.path, device.name);
+        if !device.streams.is_empty() {
+            println!("         {}", device.streams.join(", "));
+        }
+        if let Some(problem) = device.problem {
+            println!("         problem: {problem}");
+        }
+        if let Some(remedy) = device.remedy {
+            println!("         remedy:  {remedy}");
+        }
+    }
+    Ok(())
+}
+
+/// Devices that were opened, each with a name of its own for its streams.
+pub struct Opened {
+    /// Without slashes; unique.
+    pub name: String,
+    /// What it was found as.
+    pub device: Found,
+    /// To be asked.
+    pub source: Box<dyn Source>,
+}
+
+/// Opens the devices that are named or, where none is, every one without a problem.
+pub fn open(
+    names: &[String],
+    config: Option<&PathBuf>,
+    clock: &Arc<dyn Clock>,
+) -> Result<Vec<Opened>, Failure> {
+    let config = config.map(|path| vergence_input::Config::read(path)).transpose().map_err(|e| failed(&e))?;
+    let config = config.unwrap_or_default();
+    let devices: Vec<Found> = if names.is_empty() {
+        vergence_input::found(&config).into_iter().filter(|device| device.problem.is_none()).collect()
+    } else {
+        let each = names.iter().map(|name| vergence_input::find(name, &config));
+        each.collect::<Result<_, _>>().map_err(|error| failed(&error))?
+    };
+    let mut opened: Vec<Opened> = Vec::new();
+    for device in devices {
+        let source = match vergence_input::open(&device, &config, clock.clone()) {
+            Ok(source) => source,
+            Err(error) if names.is_empty() => {
+                eprintln!("vergence: {error}");
+                continue;
+            }
+            Err(error) => return Err(failed(&error)),
+        };
+        let base: String = device
+            .name
+            .to_lowercase()
+            .chars()
+            .map(|c| if c.is_ascii_alphanumeric() { c } else { '_' })
+            .collect();
+        let base = base.trim_matches('_').to_owned();
+        let base = if base.is_empty() { device.adapter.to_owned() } else { base };
+        let taken = |name: &str| opened.iter().any(|other| other.name == name);
+        let mut name = base.clone();
+        for number in 2.. {
+            if !taken(&name) {
+                break;
+            }
+            name = format!("{base}_{number}");
+        }
+        opened.push(Opened { name, device, source });
+    }
+    if opened.is_empty() {
+        return Err(Failure::Work(
+            "expected a device, found none that can be read: 'vergence devices list' says what there is"
+                .into(),
+        ));
+    }
+    Ok(opened)
+}
+
+/// `true` once Ctrl-C was pressed, or the process asked to end; a second time ends it at once.
+pub fn interrupted() -> Result<Arc<AtomicBool>, Failure> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
+            .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
+            .map_err(|error| Failure::work(&error))?;
+    }
+    Ok(stop)
+}
+
+/// What was seen of one stream.
+#[derive(Clone, Debug, Default)]
+struct Seen {
+    count: u64,
+    since: u64,
+    delay_ms: f64,
+    value: String,
+}
+
+#[derive(Default)]
+struct Screen {
+    names: Vec<String>,
+    seen: BTreeMap<usize, Seen>,
+    gaps: u64,
+}
+
+impl Sink for Screen {
+    fn appears(&mut self, place: usize, stream: &SourceStream) {
+        self.names.resize(self.names.len().max(place + 1), String::new());
+        stream.name.clone_into(&mut self.names[place]);
+    }
+
+    fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
+        let seen = self.seen.entry(stream).or_default();
+        seen.count += 1;
+        seen.delay_ms = sample.arrived.since(sample.captured).unwrap_or(Span::ZERO).as_millis_f64();
+        if matches!(&sample.value, Reading::Event(event) if event.name == "gap") {
+            self.gaps += 1;
+        }
+        seen.value = words(&sample.value);
+    }
+}
+
+/// A reading in a few words.
+pub fn words(reading: &Reading<'_>) -> String {
+    let list = |values: &[f64]| {
+        let each: Vec<String> = values.iter().map(|value| format!("{value:.4}")).collect();
+        each.join(" ")
+    };
+    match reading {
+        Reading::Button(button) => match button.0 {
+            Some(true) => "pressed".into(),
+            Some(false) => "released".into(),
+            None => "not offered".into(),
+        },
+        Reading::Axis(axis) => axis.0.map_or_else(|| "not offered".into(), |value| format!("{value:.4}")),
+        Reading::Vector2(vector) => {
+            vector.0.map_or_else(|| "not offered".into(), |v| list(&v.map(f64::from)))
+        }
+        Reading::Touch(touch) => {
+            format!("{} {:?} {}", touch.contact, touch.phase, list(&touch.position)).to_lowercase()
+        }
+        Reading::Scalar(scalar) => format!("{}", scalar.0),
+        Reading::Imu(imu) => format!(
+            "gyr {}  acc {}{}",
+            list(imu.gyr_rad_s.as_slice()),
+            list(imu.acc_m_s2.as_slice()),
+            imu.mag_ut.map_or_else(String::new, |mag| format!("  mag {}", list(mag.as_slice())))
+        ),
+        Reading::Pose(pose) => pose.reference_from_device().map_or_else(
+            || "lost".into(),
+            |rigid| {
+                format!(
+                    "{}  {}",
+                    list(rigid.translation.vector.as_slice()),
+                    list(rigid.rotation.coords.as_slice())
+                )
+            },
+        ),
+        Reading::Gaze(gaze) => {
+            format!("{}  {}", list(gaze.origin.coords.as_slice()), list(gaze.direction.as_slice()))
+        }
+        Reading::Image(image) => {
+            format!("{}x{} {} {} B", image.width, image.height, image.encoding, image.data.len())
+        }
+        Reading::Event(event) => {
+            let number = |value: f64| if value.is_nan() { String::new() } else { format!(" {value}") };
+            format!("{} {}{}{}", event.name, event.text, number(event.before), number(event.after))
+        }
+    }
+}
+
+impl Monitor {
+    fn run(&self) -> Result<(), Failure> {
+        let clock: Arc<dyn Clock> = Arc::new(HostClock::start());
+        let mut opened = open(&self.devices, self.config.as_ref(), &clock)?;
+        let stop = interrupted()?;
+        let mut screens: Vec<Screen> = opened.iter().map(|_| Screen::default()).collect();
+        let start = Instant::now();
+        let live = std::io::stdout().is_terminal();
+        let (mut drawn_at, mut lines) = (Instant::now(), 0);
+        let share = Span::from_millis((100 / i64::try_from(opened.len()).unwrap_or(100)).max(1));
+        let is_over = || {
+            stop.load(std::sync::atomic::Ordering::Relaxed)
+                || self.seconds.is_some_and(|seconds| start.elapsed().as_secs_f64() >= seconds)
+        };
+        while !is_over() {
+            for (device, screen) in opened.iter_mut().zip(&mut screens) {
+                let until = clock.now().saturating_add(share);
+                while clock.now() < until && device.source.advance(until, screen) == Progress::Gave {}
+            }
+            let elapsed = drawn_at.elapsed().as_secs_f64();
+            if elapsed >= if live { 0.25 } else { 1.0 } {
+                let text = draw(&opened, &mut screens, elapsed);
+                let up = if live && lines > 0 { format!("\x1b[{lines}A\x1b[J") } else { String::new() };
+                lines = text.lines().count();
+                if write!(std::io::stdout().lock(), "{up}{text}").is_err() {
+                    // Whoever listened has gone.
+                    break;
+                }
+                drawn_at = Instant::now();
+            }
+        }
+        Ok(())
+    }
+}
+
+fn draw(opened: &[Opened], screens: &mut [Screen], elapsed: f64) -> String {
+    let mut text = String::new();
+    for (device, screen) in opened.iter().zip(screens) {
+        text += &format!("{} ({}), {} gaps\n", device.name, device.device.path, screen.gaps);
+        for (place, seen) in &mut screen.seen {
+            let stream = device.source.streams().get(*place);
+            let name = stream.map_or("?", |stream| stream.name.as_str());
+            let rate = (seen.count - seen.since) as f64 / elapsed;
+            seen.since = seen.count;
+            text += &format!("  {name:24} {rate:8.1} Hz {:8.2} ms  {}\n", seen.delay_ms, seen.value);
+        }
+    }
+    text
+}

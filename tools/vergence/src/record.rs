@@ -1,0 +1,274 @@
+//! `vergence record`: devices into a session log, without a scene. And such a log, played again.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use vergence_log::{Header, LogSource, Options, Reader, Recorder, SourceLane};
+use vergence_sense::{Progress, Reading, Sample, Sink, Source, SourceStream};
+use vergence_time::{Clock, HostClock, Span, Timestamp};
+
+use crate::devices::{Opened, interrupted, open, words};
+use crate::failure::Failure;
+
+/// Names us in the header of a log; what is replayed as a log of devices.
+const APPLICATION: &str = "vergence record";
+/// How long a device may keep a thread that is asked to end.
+const ROUND: Span = Span::from_millis(100);
+
+/// Records devices into a session log, without a scene, until Ctrl-C
+#[derive(clap::Args)]
+pub struct Args {
+    /// The log (.mcap)
+    output: PathBuf,
+    /// A device: its path, a part of its name, or serial:PATH [default: every one that can be read]
+    #[arg(long = "device", value_name = "DEVICE")]
+    devices: Vec<String>,
+    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Ends after so many seconds [default: with Ctrl-C]
+    #[arg(long, value_name = "SECONDS")]
+    seconds: Option<f64>,
+    /// Prints one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// How a recording, or its replay, went.
+#[derive(Debug, Default, Serialize)]
+struct Report {
+    streams: usize,
+    samples: u64,
+    dropped: u64,
+    gaps: u64,
+    seconds: f64,
+    bytes: u64,
+}
+
+impl Report {
+    fn print(&self, json: bool, what: &str) -> Result<(), Failure> {
+        if json {
+            println!("{}", serde_json::to_string(self).map_err(|error| Failure::work(&error))?);
+        } else {
+            println!(
+                "{what}: {} samples of {} streams in {:.3} s, {} bytes; {} dropped, {} gaps",
+                self.samples, self.streams, self.seconds, self.bytes, self.dropped, self.gaps
+            );
+        }
+        Ok(())
+    }
+}
+
+/// Counts on the way into the log.
+struct Counted<'a> {
+    lane: SourceLane,
+    samples: &'a AtomicU64,
+    gaps: &'a AtomicU64,
+}
+
+impl Sink for Counted<'_> {
+    fn appears(&mut self, place: usize, stream: &SourceStream) {
+        self.lane.appears(place, stream);
+    }
+
+    fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
+        if matches!(&sample.value, Reading::Event(event) if event.name == "gap") {
+            self.gaps.fetch_add(1, Ordering::Relaxed);
+        }
+        self.samples.fetch_add(1, Ordering::Relaxed);
+        self.lane.take(stream, sample);
+    }
+}
+
+impl Args {
+    /// Records, and says how that went.
+    pub fn run(self) -> Result<(), Failure> {
+        let log_failed = |error: &vergence_log::Error| Failure::work(error);
+        let clock: Arc<dyn Clock> = Arc::new(HostClock::start());
+        let stop = interrupted()?;
+        let mut opened = open(&self.devices, self.config.as_ref(), &clock)?;
+        let mut header = Header {
+            application: APPLICATION.to_owned(),
+            clock: "monotonic".to_owned(),
+            ..Header::default()
+        };
+        header.device = opened
+            .iter()
+            .map(|d| format!("{} ({})", d.device.name, d.device.path))
+            .collect::<Vec<_>>()
+            .join(", ");
+        let recorder =
+            Recorder::create(&self.output, &header, &Options::default()).map_err(|e| log_failed(&e))?;
+        let recorder = Arc::new(Mutex::new(recorder));
+        let (samples, gaps) = (AtomicU64::new(0), AtomicU64::new(0));
+        let mut lanes = Vec::new();
+        for device in &opened {
+            let lane = SourceLane::new(&recorder, &device.name, device.source.streams());
+            lanes.push(Counted { lane: lane.map_err(|e| log_failed(&e))?, samples: &samples, gaps: &gaps });
+        }
+        let bar = ProgressBar::new_spinner();
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} {pos} samples {msg}") {
+            bar.set_style(style);
+        }
+        let start = Instant::now();
+        let is_over = || {
+            stop.load(Ordering::Relaxed)
+                || self.seconds.is_some_and(|secs| start.elapsed().as_secs_f64() >= secs)
+        };
+        let mut failure = None;
+        std::thread::scope(|scope| {
+            for (device, mut lane) in opened.iter_mut().zip(lanes) {
+                let (clock, is_over) = (&clock, &is_over);
+                scope.spawn(move || pump(device, &mut lane, &**clock, is_over));
+            }
+            while !is_over() {
+                std::thread::sleep(std::time::Duration::from_millis(50));
+                bar.set_position(samples.load(Ordering::Relaxed));
+                failure = failure
+                    .take()
+                    .or_else(|| recorder.lock().unwrap_or_else(PoisonError::into_inner).failure());
+                if failure.is_some() {
+                    stop.store(true, Ordering::Relaxed);
+                }
+            }
+        });
+        bar.finish_and_clear();
+        let streams = opened.iter().map(|device| device.source.streams().len()).sum();
+        drop(opened);
+        // Lanes went with their threads: nobody else has it.
+        let status =
+            match Arc::into_inner(recorder).map(|r| r.into_inner().unwrap_or_else(PoisonError::into_inner)) {
+                Some(recorder) => recorder.finish().map_err(|e| log_failed(&e))?,
+                None => return Err(Failure::Work("the recording is still in use".into())),
+            };
+        let report = Report {
+            streams,
+            samples: samples.into_inner(),
+            dropped: status.dropped,
+            gaps: gaps.into_inner(),
+            seconds: start.elapsed().as_secs_f64(),
+            bytes: std::fs::metadata(&self.output).map_or(0, |file| file.len()),
+        };
+        report.print(self.json, &self.output.display().to_string())?;
+        match (failure, report.dropped) {
+            (Some(error), _) => Err(log_failed(&error)),
+            (None, 1..) => Err(Failure::Work(format!(
+                "expected every sample to be recorded, found {} dropped",
+                report.dropped
+            ))),
+            (None, _) => Ok(()),
+        }
+    }
+}
+
+fn pump(device: &mut Opened, lane: &mut dyn Sink, clock: &dyn Clock, is_over: &dyn Fn() -> bool) {
+    while !is_over() {
+        let until = clock.now().saturating_add(ROUND);
+        if device.source.advance(until, lane) == Progress::Ended {
+            return;
+        }
+    }
+}
+
+/// Whether a log is one of devices, without a scene.
+pub fn is_of_devices(path: &Path) -> bool {
+    Reader::open(path)
+        .is_ok_and(|reader| reader.header().is_some_and(|header| header.application == APPLICATION))
+}
+
+#[derive(Default)]
+struct Printed<'a> {
+    only: Option<&'a str>,
+    /// Of each stream: its name, and whether it is printed.
+    streams: Vec<(String, bool)>,
+    samples: u64,
+    gaps: u64,
+    dropped: u64,
+    first: Option<Timestamp>,
+    last: Option<Timestamp>,
+    /// Samples wait for this.
+    pace: Option<(HostClock, f64)>,
+    broken: bool,
+}
+
+impl Sink for Printed<'_> {
+    fn appears(&mut self, place: usize, stream: &SourceStream) {
+        self.streams.resize(self.streams.len().max(place + 1), (String::new(), false));
+        let name = format!("/{}", stream.name);
+        let is_printed = self
+            .only
+            .is_some_and(|only| only == name || only == stream.name || name.ends_with(&format!("/{only}")));
+        self.streams[place] = (name, is_printed);
+    }
+
+    fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
+        use std::io::Write;
+        self.samples += 1;
+        let first = *self.first.get_or_insert(sample.arrived);
+        self.last = Some(sample.arrived);
+        match &sample.value {
+            Reading::Event(event) if event.name == "gap" => self.gaps += 1,
+            Reading::Event(event) if event.name == "dropped" => self.dropped += event.after as u64,
+            _ => {}
+        }
+        if let Some((clock, speed)) = &self.pace
+            && let Some(since) = sample.arrived.since(first)
+        {
+            let due = Span::from_secs_f64(since.as_secs_f64() / speed).unwrap_or(Span::ZERO);
+            clock.sleep_until(Timestamp::default().saturating_add(due));
+        }
+        if !self.broken && self.streams.get(stream).is_some_and(|(_, is_printed)| *is_printed) {
+            let line = format!(
+                "{} {} {}",
+                sample.captured.as_nanos(),
+                sample.arrived.as_nanos(),
+                words(&sample.value)
+            );
+            self.broken = writeln!(std::io::stdout().lock(), "{line}").is_err();
+        }
+    }
+}
+
+/// Plays a log of devices again, at `speed` times its own or as fast as it goes, printing one of its streams: capture and
+/// arrival in nanoseconds, then the values.
+pub fn replay(path: &Path, speed: Option<f64>, print: Option<&str>, json: bool) -> Result<(), Failure> {
+    let reader = Reader::open(path).map_err(|error| match &error {
+        vergence_log::Error::Read { source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+            Failure::call(&error)
+        }
+        _ => Failure::work(&error),
+    })?;
+    let mut source = LogSource::new(reader);
+    let pace = speed.map(|speed| (HostClock::start(), speed));
+    let mut sink = Printed { only: print, pace, ..Printed::default() };
+    while source.advance(Timestamp::from_nanos(i64::MAX), &mut sink) != Progress::Ended {}
+    if let Some(error) = source.failure() {
+        return Err(Failure::work(&error));
+    }
+    if let Some(only) = print
+        && !sink.streams.iter().any(|(_, is_printed)| *is_printed)
+    {
+        let there: Vec<&str> = sink.streams.iter().map(|(name, _)| name.as_str()).collect();
+        return Err(Failure::Call(format!(
+            "expected a stream of the log, found '{only}'; there is {}",
+            there.join(", ")
+        )));
+    }
+    let seconds = sink.first.zip(sink.last).and_then(|(first, last)| last.since(first)).unwrap_or(Span::ZERO);
+    let report = Report {
+        streams: source.streams().len(),
+        samples: sink.samples,
+        dropped: sink.dropped,
+        gaps: sink.gaps,
+        seconds: seconds.as_secs_f64(),
+        bytes: std::fs::metadata(path).map_or(0, |file| file.len()),
+    };
+    if json || print.is_none() {
+        report.print(json, &path.display().to_string())?;
+    }
+    Ok(())
+}
