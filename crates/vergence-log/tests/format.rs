@@ -12,8 +12,8 @@ use vergence_log::schema::{Kind, Schema};
 use vergence_log::{Compressed, Compression, Header, Message, Options, Reader, Recorder, StreamDesc, Times};
 use vergence_sense::{
     Axis, Button, CallResult, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu,
-    JOINTS_PER_HAND, Pose, RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar, Touch,
-    Validity, Vector2,
+    JOINTS_PER_HAND, Pose, RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar,
+    Touch, Validity, Vector2,
 };
 use vergence_time::{Span, Timestamp};
 
