@@ -48,12 +48,20 @@ pub enum Error {
 /// # Errors
 /// Where it cannot be read, is larger than [`MAX_FILE_BYTES`], or does not parse (see [`parse`]).
 pub fn read<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Error> {
+    parse(path, &read_text(path)?)
+}
+
+/// Reads the text of the file at `path`: for owners who check values after parsing ([`invalid_key`]).
+///
+/// # Errors
+/// Where it cannot be read or is larger than [`MAX_FILE_BYTES`].
+pub fn read_text(path: &Path) -> Result<String, Error> {
     let io = |source| Error::Io { path: path.to_owned(), source };
     let found = std::fs::metadata(path).map_err(io)?.len();
     if found > MAX_FILE_BYTES {
         return Err(Error::TooLarge { path: path.to_owned(), found });
     }
-    parse(path, &std::fs::read_to_string(path).map_err(io)?)
+    std::fs::read_to_string(path).map_err(io)
 }
 
 /// Parses `text`, naming `path` in errors.
@@ -73,6 +81,28 @@ pub fn invalid_at(path: &Path, text: &str, offset: usize, message: &str) -> Erro
     let line = before.matches('\n').count() + 1;
     let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
     Error::Invalid { path: path.to_owned(), line, column, message: message.to_owned() }
+}
+
+/// An [`Error::Invalid`] for the value of `key` in `text`: names with points between them, and numbers, from 0, for
+/// places in arrays (`left.fov`, `head.2.time`). Where there is no such value, the nearest around it is the place.
+pub fn invalid_key(path: &Path, text: &str, key: &str, message: &str) -> Error {
+    let root = toml::de::DeTable::parse(text).ok();
+    let mut place = 0;
+    let mut value: Option<&toml::de::DeValue<'_>> = None;
+    for name in key.split('.') {
+        let inner = match (value, &root) {
+            (None, Some(root)) => root.get_ref().get(name),
+            (Some(toml::de::DeValue::Table(table)), _) => table.get(name),
+            (Some(toml::de::DeValue::Array(array)), _) => {
+                name.parse::<usize>().ok().and_then(|index| array.get(index))
+            }
+            _ => None,
+        };
+        let Some(inner) = inner else { break };
+        place = inner.span().start;
+        value = Some(inner.get_ref());
+    }
+    invalid_at(path, text, place, message)
 }
 
 #[cfg(test)]
@@ -95,6 +125,24 @@ mod tests {
         assert!(missing.to_string().contains("missing field `fov`"), "{missing}");
         let syntax = parse::<Raw>("a.toml", "rate = ").unwrap_err();
         assert!(syntax.to_string().starts_with("a.toml:1:8"), "{syntax}");
+    }
+
+    #[test]
+    fn values_are_found_by_their_keys() {
+        let text = "a = 1\n[[list]]\nx = 1\n[[list]]\nx = 2\n[t]\nfov = { left = [0, 7] }\n";
+        for (key, place) in [
+            ("a", "1:5"),
+            ("list.1.x", "5:5"),
+            ("t.fov", "7:7"),
+            ("t.fov.left.1", "7:20"),
+            // What is not there is around.
+            ("t.fov.right", "7:7"),
+            ("list.2.x", "2:1"),
+            ("none.x", "1:1"),
+        ] {
+            let error = invalid_key(Path::new("a.toml"), text, key, "no").to_string();
+            assert_eq!(error, format!("a.toml:{place}: no"), "{key}");
+        }
     }
 
     #[test]

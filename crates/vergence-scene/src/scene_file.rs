@@ -140,9 +140,6 @@ impl Builder<'_, '_> {
             None => Vector3::repeat(1.0),
             Some(raw::Scale(scale)) => Vector3::from(scale),
         };
-        if !scale.iter().all(|s| s.is_finite() && s.abs() <= 1e9) {
-            return Err(self.invalid(at, format!("expected a scale up to 1e9, found {:?}", scale.as_slice())));
-        }
         Ok(Trs { translation: self.position(at, &placement.position)?, rotation, scale })
     }
 

@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a headset profile or a motion cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -15,16 +15,6 @@ pub enum Error {
         name: String,
         /// The built-in names.
         known: String,
-    },
-    /// A file says something that no headset and no motion can be.
-    #[error("{path}: expected {expected}, found {found}")]
-    Value {
-        /// Which file.
-        path: PathBuf,
-        /// What would be right, with the key that is meant.
-        expected: String,
-        /// What the file says.
-        found: String,
     },
     /// The trajectory cannot be read.
     #[error("{path}: {source}{hint}")]
@@ -58,4 +48,11 @@ pub enum Error {
         /// What is there instead.
         found: String,
     },
+}
+
+impl Error {
+    /// A file says something that no headset and no motion can be, at the value of `key`.
+    pub(crate) fn value(path: &Path, text: &str, key: &str, message: &str) -> Self {
+        vergence_config::invalid_key(path, text, key, message).into()
+    }
 }

@@ -102,7 +102,7 @@ impl Profile {
         }
         let path = Path::new(name);
         if path.is_file() {
-            return Self::resolve(path, vergence_config::read(path)?);
+            return Self::parse(path, &vergence_config::read_text(path)?);
         }
         let known = BUILT_IN_HEADSETS.map(|(name, _)| name).join(", ");
         Err(Error::Unknown { kind: "headset profile", name: name.to_owned(), known })
@@ -113,33 +113,37 @@ impl Profile {
     /// # Errors
     /// Where the text is wrong or no headset can be so: the file and what was expected are named.
     pub fn parse(path: &Path, text: &str) -> Result<Self, Error> {
-        Self::resolve(path, vergence_config::parse(path, text)?)
-    }
-
-    fn resolve(path: &Path, raw: Raw) -> Result<Self, Error> {
-        let value = |expected: String, found: String| Error::Value { path: path.to_owned(), expected, found };
+        let raw: Raw = vergence_config::parse(path, text)?;
+        let value = |key: &str, expected: String, found: String| {
+            Error::value(path, text, key, &format!("expected {expected}, found {found}"))
+        };
         let (width, height) = raw.resolution;
         if !(1..=MAX_IMAGE_SIDE).contains(&width) || !(1..=MAX_IMAGE_SIDE).contains(&height) {
             let expected = format!("a resolution of 1 to {MAX_IMAGE_SIDE} pixels per side");
-            return Err(value(expected, format!("{width} x {height}")));
+            return Err(value("resolution", expected, format!("{width} x {height}")));
         }
         let rates_hz: Vec<f64> = raw.rates.iter().map(|rate| rate.hertz()).collect();
         if rates_hz.is_empty() || rates_hz.iter().any(|rate| !(1.0..=1000.0).contains(rate)) {
-            return Err(value("at least one rate, each 1 to 1000 Hz".into(), format!("{rates_hz:?} Hz")));
+            let expected = "at least one rate, each 1 to 1000 Hz".to_owned();
+            return Err(value("rates", expected, format!("{rates_hz:?} Hz")));
         }
         let ipd_m = raw.ipd.metres();
         if !(0.0..=1.0).contains(&ipd_m) {
-            return Err(value("an ipd of 0 to 1 m".into(), format!("{ipd_m} m")));
+            return Err(value("ipd", "an ipd of 0 to 1 m".into(), format!("{ipd_m} m")));
         }
         let controllers =
             raw.controllers.unwrap_or_else(|| "/interaction_profiles/oculus/touch_controller".into());
         if interaction::profile(&controllers).is_none() {
-            return Err(value("controllers: an interaction profile of core OpenXR".into(), controllers));
+            let expected = "an interaction profile of core OpenXR".to_owned();
+            return Err(value("controllers", expected, controllers));
         }
+        // What is wrong with a mirror image is so with the left eye.
         let right = raw.right.clone().unwrap_or_else(|| raw.left.mirrored());
-        let eyes = [(raw.left, -1.0), (right, 1.0)].map(|(eye, side)| eye.resolve(side, ipd_m));
-        let [left, right] = eyes;
-        let eyes = [left.map_err(|(e, f)| value(e, f))?, right.map_err(|(e, f)| value(e, f))?];
+        let resolve = |eye: RawEye, name: &str, side: f64| {
+            let wrong = |(key, message): Wrong| Error::value(path, text, &format!("{name}.{key}"), &message);
+            eye.resolve(side, ipd_m).map_err(wrong)
+        };
+        let eyes = [resolve(raw.left, "left", -1.0)?, resolve(right, "right", 1.0)?];
         Ok(Self { name: raw.name, resolution: raw.resolution, rates_hz, ipd_m, eyes, controllers })
     }
 
@@ -158,6 +162,9 @@ impl Profile {
     }
 }
 
+/// A key of an eye, and what was expected there and what was found.
+type Wrong = (&'static str, String);
+
 impl RawEye {
     fn mirrored(&self) -> Self {
         let negative = |angle: Angle| Angle::new(-angle.radians());
@@ -168,16 +175,14 @@ impl RawEye {
         Self { fov, visible, ..self.clone() }
     }
 
-    fn resolve(self, side: f64, ipd_m: f64) -> Result<Eye, (String, String)> {
+    fn resolve(self, side: f64, ipd_m: f64) -> Result<Eye, Wrong> {
         let fov = Fov {
             left_rad: self.fov.left.radians(),
             right_rad: self.fov.right.radians(),
             up_rad: self.fov.up.radians(),
             down_rad: self.fov.down.radians(),
         };
-        let fov = fov
-            .checked()
-            .map_err(|error| ("a field of view that can be drawn".to_owned(), error.to_string()))?;
+        let fov = fov.checked().map_err(|error| ("fov", error.to_string()))?;
         let turned_out = self.turned_out.map_or(0.0, Angle::radians);
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -side * turned_out);
         let head_from_eye = Rigid::from_parts(Vector3::new(0.5 * side * ipd_m, 0.0, 0.0).into(), rotation);
@@ -191,8 +196,8 @@ impl RawEye {
         let inside = self.visible.iter().flatten().all(|fraction| (0.0..=1.0).contains(fraction));
         let is_outline = inside && visible.len() >= 3 && is_convex(&visible);
         if !visible.is_empty() && !is_outline {
-            let expected = "visible: a convex outline of at least three points in 0 to 1".to_owned();
-            return Err((expected, format!("{:?}", self.visible)));
+            let expected = "expected a convex outline of at least three points in 0 to 1";
+            return Err(("visible", format!("{expected}, found {:?}", self.visible)));
         }
         Ok(Eye { head_from_eye, fov, visible })
     }
@@ -343,17 +348,13 @@ mod tests {
             (
                 "1024, 1024",
                 "0, 1024",
-                "x.toml: expected a resolution of 1 to 8192 pixels per side, found 0 x 1024",
+                "x.toml:3:14: expected a resolution of 1 to 8192 pixels per side, found 0 x 1024",
             ),
             ("90 Hz", "0 Hz", "expected at least one rate, each 1 to 1000 Hz, found [0.0] Hz"),
             ("63 mm", "2 m", "expected an ipd of 0 to 1 m, found 2 m"),
             ("\"45 deg\", down", "\"-46 deg\", down", "field of view: expected left < right and down < up"),
-            ("oculus/touch", "oculus/tuch", "expected controllers: an interaction profile"),
-            (
-                "[left]",
-                "[left]\nvisible = [[0,0],[1,1],[0.4,0.5],[1,0]]",
-                "expected visible: a convex outline",
-            ),
+            ("oculus/touch", "oculus/tuch", "expected an interaction profile"),
+            ("[left]", "[left]\nvisible = [[0,0],[1,1],[0.4,0.5],[1,0]]", "expected a convex outline"),
         ] {
             let error = Profile::parse(Path::new("x.toml"), &text.replace(old, new)).unwrap_err().to_string();
             assert!(error.contains(said), "{error}");

@@ -10,6 +10,9 @@ use super::raw;
 use crate::Error;
 use crate::import::{Bytes, Import};
 
+/// Written before JSON by some editors; the JSON is then refused with its place.
+const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+
 /// A glTF file taken apart, and the buffers that its JSON names.
 pub(super) struct Container {
     pub json: Range<usize>,
@@ -25,6 +28,11 @@ impl Container {
             return Err(Error::invalid(path, "byte 0", "expected glTF, found an empty file"));
         }
         if !bytes.starts_with(b"glTF") {
+            let first = bytes.iter().find(|byte| !byte.is_ascii_whitespace());
+            if first != Some(&b'{') && !bytes.starts_with(BYTE_ORDER_MARK) {
+                let expected = "expected \"glTF\" or a JSON object";
+                return Err(Error::invalid(path, "byte 0", format!("{expected}, found neither")));
+            }
             return Ok(Self { json: 0..bytes.len(), binary: None, json_place: "JSON" });
         }
         let word = |at: usize| {
@@ -80,6 +88,25 @@ impl Container {
         let json =
             json.ok_or_else(|| Error::invalid(path, "byte 12", "expected a JSON chunk, found none"))?;
         Ok(Self { json, binary, json_place: "JSON chunk" })
+    }
+
+    /// What is wrong with the JSON `text`, and where: line and column of a text, the byte of a `.glb`.
+    pub fn json_error(&self, path: &Path, text: &[u8], error: &serde_json::Error) -> Error {
+        let (line, column) = (error.line(), error.column());
+        let place = if self.json.start == 0 {
+            format!("{}:{}", line.max(1), column.max(1))
+        } else {
+            let before: usize = text
+                .split_inclusive(|&byte| byte == b'\n')
+                .take(line.saturating_sub(1))
+                .map(<[u8]>::len)
+                .sum();
+            format!("byte {}", self.json.start + before + column.saturating_sub(1))
+        };
+        let said = error.to_string();
+        // The place is said once.
+        let said = said.strip_suffix(&format!(" at line {line} column {column}")).unwrap_or(&said);
+        Error::invalid(path, place, format!("expected glTF, found: {said}"))
     }
 }
 

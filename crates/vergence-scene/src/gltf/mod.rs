@@ -43,9 +43,8 @@ pub(crate) fn load(import: &mut Import<'_>, path: &Path, bytes: Bytes) -> Result
     let text = &bytes[container.json.clone()];
     let objects = text.iter().filter(|&&byte| byte == b'{').count();
     import.charge(path, container.json_place, objects, BYTES_PER_JSON_OBJECT)?;
-    let root: raw::Root = serde_json::from_slice(text).map_err(|error| {
-        Error::invalid(path, container.json_place, format!("expected glTF, found: {error}"))
-    })?;
+    let root: raw::Root =
+        serde_json::from_slice(text).map_err(|error| container.json_error(path, text, &error))?;
     check_version(path, &root.asset)?;
     check_extensions(import, path, &root)?;
 

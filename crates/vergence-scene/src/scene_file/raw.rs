@@ -236,9 +236,21 @@ impl<'de> Deserialize<'de> for Tile {
     }
 }
 
-/// One factor, or three.
+/// One factor, or three: up to 1e9, and something is left. One or two of three may be 0: that is flat.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Scale(pub [f64; 3]);
+
+impl Scale {
+    fn checked<E: serde::de::Error>(self) -> Result<Self, E> {
+        let Self(factors) = self;
+        if factors.iter().all(|factor| factor.abs() <= 1e9) && factors != [0.0; 3] {
+            return Ok(self);
+        }
+        Err(E::custom(format_args!(
+            "expected a scale up to 1e9 that leaves something to see, found {factors:?}"
+        )))
+    }
+}
 
 impl<'de> Deserialize<'de> for Scale {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -248,14 +260,15 @@ impl<'de> Deserialize<'de> for Scale {
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
                 f.write_str("a factor, or three of them")
             }
-            fn visit_f64<E>(self, factor: f64) -> Result<Scale, E> {
-                Ok(Scale([factor; 3]))
+            fn visit_f64<E: serde::de::Error>(self, factor: f64) -> Result<Scale, E> {
+                Scale([factor; 3]).checked()
             }
-            fn visit_i64<E>(self, factor: i64) -> Result<Scale, E> {
-                Ok(Scale([factor as f64; 3]))
+            fn visit_i64<E: serde::de::Error>(self, factor: i64) -> Result<Scale, E> {
+                Scale([factor as f64; 3]).checked()
             }
             fn visit_seq<A: SeqAccess<'de>>(self, seq: A) -> Result<Scale, A::Error> {
-                <[f64; 3]>::deserialize(serde::de::value::SeqAccessDeserializer::new(seq)).map(Scale)
+                let factors = <[f64; 3]>::deserialize(serde::de::value::SeqAccessDeserializer::new(seq))?;
+                Scale(factors).checked()
             }
         }
         deserializer.deserialize_any(Expected)

@@ -91,22 +91,16 @@ impl Motion {
     pub fn open(name: &str) -> Result<Self, Error> {
         let path = Path::new(name);
         if path.is_file() {
-            let raw = vergence_config::read(path)?;
-            return Self::resolve(path, raw);
+            return Self::parse(path, &vergence_config::read_text(path)?);
         }
         match BUILT_IN_MOTIONS
             .iter()
             .find(|(built_in, _)| *built_in == name || built_in.strip_suffix(".toml") == Some(name))
         {
             Some((built_in, text)) => Self::parse(Path::new(built_in), text),
-            None => Err(Error::Unknown {
-                kind: "motion",
-                name: name.to_owned(),
-                known: format!(
-                    "still, {}",
-                    BUILT_IN_MOTIONS.map(|(name, _)| name.trim_end_matches(".toml")).join(", ")
-                ),
-            }),
+            None => {
+                Err(Error::Unknown { kind: "motion", name: name.to_owned(), known: super::built_in_names() })
+            }
         }
     }
 
@@ -116,19 +110,15 @@ impl Motion {
     /// # Errors
     /// Where the text or the trajectory is wrong: file and line are named.
     pub fn parse(path: &Path, text: &str) -> Result<Self, Error> {
-        Self::resolve(path, vergence_config::parse(path, text)?)
-    }
-
-    fn resolve(path: &Path, raw: Raw) -> Result<Self, Error> {
+        let raw: Raw = vergence_config::parse(path, text)?;
         let samples = load(path, &raw.trajectory)?;
-        let value = |expected: &str, found: String| Error::Value {
-            path: path.to_owned(),
-            expected: expected.into(),
-            found,
+        let value = |key: &str, expected: &str, found: String| {
+            Error::value(path, text, key, &format!("expected {expected}, found {found}"))
         };
         let span = |key: &str, duration: Duration| {
+            let name = key.rsplit('.').next().unwrap_or(key);
             Span::from_secs_f64(duration.seconds()).filter(|span| span.as_nanos() >= 0).ok_or_else(|| {
-                value(&format!("a {key} of at least 0 s"), format!("{} s", duration.seconds()))
+                value(key, &format!("a {name} of at least 0 s"), format!("{} s", duration.seconds()))
             })
         };
         let begin = samples[0].at;
@@ -137,20 +127,21 @@ impl Motion {
         if start > last {
             let length = last.since(begin).unwrap_or(Span::ZERO).as_secs_f64();
             let found = format!("{} s", raw.start.map_or(0.0, |start| start.seconds()));
-            return Err(value(&format!("a start within the {length} s of the trajectory"), found));
+            let expected = format!("a start within the {length} s of the trajectory");
+            return Err(value("start", &expected, found));
         }
-        let longest_step = span("longest-step", raw.gaps.longest_step)?;
+        let longest_step = span("gaps.longest-step", raw.gaps.longest_step)?;
         let trajectory = Trajectory::new(samples, start, raw.at_end, raw.gaps.across, longest_step)
-            .ok_or_else(|| value("a trajectory shorter than 292 years", raw.trajectory.clone()))?;
+            .ok_or_else(|| {
+                value("trajectory", "a trajectory shorter than 292 years", raw.trajectory.clone())
+            })?;
 
         let [i, j, k, w] = raw.head_from_body.rotation;
         let rotation = Quaternion::new(w, i, j, k);
         let unit = (rotation.norm() - 1.0).abs() < 1e-3;
         if !unit {
-            return Err(value(
-                "head_from_body.rotation: a unit quaternion x y z w",
-                format!("{i} {j} {k} {w}"),
-            ));
+            let found = format!("{i} {j} {k} {w}");
+            return Err(value("head-from-body.rotation", "a unit quaternion x y z w", found));
         }
         let [x, y, z] = raw.head_from_body.position.map(Length::metres);
         let head_from_body =
@@ -283,8 +274,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let keys = "world-axes = \"y-up\"\nplacement = \"absolute\"\n";
         for (more, said) in [
-            ("start = \"2 s\"", "expected a start within the 1 s of the trajectory, found 2 s"),
-            ("start = \"-2 s\"", "expected a start of at least 0 s, found -2 s"),
+            ("start = \"2 s\"", "m.toml:5:9: expected a start within the 1 s of the trajectory, found 2 s"),
+            ("start = \"-2 s\"", "m.toml:5:9: expected a start of at least 0 s, found -2 s"),
             ("strat = \"2 s\"", "unknown field `strat`"),
         ] {
             let error = motion(folder.path(), "0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n", &format!("{keys}{more}"))
@@ -292,7 +283,7 @@ mod tests {
             assert!(error.to_string().contains(said), "{error}");
         }
         let unknown = Motion::open("nowhere.toml").unwrap_err().to_string();
-        assert!(unknown.contains("one of still, room1, look-around"), "{unknown}");
+        assert!(unknown.contains("one of still, room1, look-around, tour"), "{unknown}");
     }
 
     #[test]

@@ -51,11 +51,16 @@ pub fn open(name: &str) -> Result<Box<dyn PoseProvider>, Error> {
         return Ok(Box::new(Script::parse(Path::new(built_in), text)?));
     }
     if is_file && vergence_config::read::<Kind>(path)?.trajectory.is_none() {
-        let io = |source| vergence_config::Error::Io { path: path.to_owned(), source };
-        let text = std::fs::read_to_string(path).map_err(io)?;
-        return Ok(Box::new(Script::parse(path, &text)?));
+        return Ok(Box::new(Script::parse(path, &vergence_config::read_text(path)?)?));
     }
     Ok(Box::new(Motion::open(name)?))
+}
+
+/// The names that [`open`] knows without a file, for errors.
+fn built_in_names() -> String {
+    let files = BUILT_IN_MOTIONS.iter().chain(&BUILT_IN_SCRIPTS);
+    let names: Vec<&str> = files.map(|(name, _)| name.trim_end_matches(".toml")).collect();
+    format!("still, {}", names.join(", "))
 }
 
 /// How far the user attends to the application, the least first.

@@ -1,3 +1,4 @@
+use std::fmt::Display;
 use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -179,7 +180,7 @@ impl Script {
     /// list and what was expected are named.
     pub fn parse(path: &Path, text: &str) -> Result<Self, Error> {
         let raw: Raw = vergence_config::parse(path, text)?;
-        Reader { path }.script(raw)
+        Reader { path, text }.script(raw)
     }
 
     /// What the user of a recorded session did, to be done again in any other: `frames` as for
@@ -410,11 +411,13 @@ impl PoseProvider for Script {
 /// Resolves raw keyframes, naming the file in errors.
 struct Reader<'a> {
     path: &'a Path,
+    text: &'a str,
 }
 
 impl Reader<'_> {
-    fn wrong(&self, expected: impl Into<String>, found: impl Into<String>) -> Error {
-        Error::Value { path: self.path.to_owned(), expected: expected.into(), found: found.into() }
+    /// That the value of `key`, as in `head.2.time`, is wrong.
+    fn wrong(&self, key: &str, expected: impl Display, found: impl Display) -> Error {
+        Error::value(self.path, self.text, key, &format!("expected {expected}, found {found}"))
     }
 
     fn script(&self, raw: Raw) -> Result<Script, Error> {
@@ -428,20 +431,20 @@ impl Reader<'_> {
             recentrings: Vec::new(),
         };
         let mut last = Timestamp::default();
-        for (at, key) in self.timed("headset", raw.headset, |key| key.time)? {
+        for (at, _, key) in self.timed("headset", raw.headset, |key| key.time)? {
             script.presence.extend(at, key.presence);
             script.render.extend(at, key.render);
             script.recentrings.extend(key.recentre.then_some(at));
             last = last.max(at);
         }
-        for (at, key) in self.timed("head", raw.head, |key| key.time)? {
-            self.place(&mut script.head, at, key.position, key.turned, key.tracking)?;
+        for (at, place, key) in self.timed("head", raw.head, |key| key.time)? {
+            self.place(&mut script.head, at, &place, key.position, key.turned, key.tracking)?;
             last = last.max(at);
         }
         let lists = [("left", raw.left), ("right", raw.right)];
         for ((list, keys), held) in lists.into_iter().zip(&mut script.hands) {
-            for (at, key) in self.timed(list, keys, |key| key.time)? {
-                self.hold(held, at, key)?;
+            for (at, place, key) in self.timed(list, keys, |key| key.time)? {
+                self.hold(held, at, &place, key)?;
                 last = last.max(at);
             }
         }
@@ -450,6 +453,7 @@ impl Reader<'_> {
                 let duration = self.time("duration", duration)?;
                 if duration < last {
                     return Err(self.wrong(
+                        "duration",
                         format!("a duration of at least {} s, the last keyframe", seconds(last)),
                         format!("{} s", seconds(duration)),
                     ));
@@ -461,31 +465,33 @@ impl Reader<'_> {
         Ok(script)
     }
 
-    fn time(&self, list: &str, time: Duration) -> Result<Timestamp, Error> {
+    fn time(&self, key: &str, time: Duration) -> Result<Timestamp, Error> {
         let found = time.seconds();
         match Span::from_secs_f64(found).filter(|_| (0.0..=LONGEST_S).contains(&found)) {
             Some(span) => Ok(Timestamp::from_nanos(span.as_nanos())),
-            None => Err(self.wrong(format!("{list}: a time of 0 to {LONGEST_S} s"), format!("{found} s"))),
+            None => Err(self.wrong(key, format!("a time of 0 to {LONGEST_S} s"), format!("{found} s"))),
         }
     }
 
-    /// The keys with their times, which rise.
+    /// The keyframes with their times, which rise, and the keys that lead to them.
     fn timed<K>(
         &self,
         list: &str,
         keys: Vec<K>,
         time: impl Fn(&K) -> Duration,
-    ) -> Result<Vec<(Timestamp, K)>, Error> {
-        let mut timed: Vec<(Timestamp, K)> = Vec::with_capacity(keys.len());
-        for key in keys {
-            let at = self.time(list, time(&key))?;
-            if let Some((before, _)) = timed.last().filter(|(before, _)| *before >= at) {
+    ) -> Result<Vec<(Timestamp, String, K)>, Error> {
+        let mut timed: Vec<(Timestamp, String, K)> = Vec::with_capacity(keys.len());
+        for (index, key) in keys.into_iter().enumerate() {
+            let place = format!("{list}.{index}");
+            let at = self.time(&format!("{place}.time"), time(&key))?;
+            if let Some((before, ..)) = timed.last().filter(|(before, ..)| *before >= at) {
                 return Err(self.wrong(
-                    format!("{list}: a time after {} s, the keyframe before", seconds(*before)),
+                    &format!("{place}.time"),
+                    format!("a time after {} s, that of the keyframe before", seconds(*before)),
                     format!("{} s", seconds(at)),
                 ));
             }
-            timed.push((at, key));
+            timed.push((at, place, key));
         }
         Ok(timed)
     }
@@ -494,17 +500,18 @@ impl Reader<'_> {
         &self,
         body: &mut Body,
         at: Timestamp,
+        place: &str,
         position: Option<[Length; 3]>,
         turned: Option<RawTurn>,
         tracking: Option<RawTracking>,
     ) -> Result<(), Error> {
         body.position.extend(at, position.map(|p| Vector3::from(p.map(Length::metres))));
-        body.rotation.extend(at, turned.map(|turned| self.turn(&turned)).transpose()?);
+        body.rotation.extend(at, turned.map(|turned| self.turn(place, &turned)).transpose()?);
         body.tracking.extend(at, tracking);
         Ok(())
     }
 
-    fn turn(&self, turned: &RawTurn) -> Result<UnitQuaternion<f64>, Error> {
+    fn turn(&self, place: &str, turned: &RawTurn) -> Result<UnitQuaternion<f64>, Error> {
         match turned {
             RawTurn::Angles(angles) => {
                 let about = |axis, angle: Option<Angle>| {
@@ -520,16 +527,18 @@ impl Reader<'_> {
                 if (quaternion.norm() - 1.0).abs() <= 1e-3 {
                     Ok(UnitQuaternion::new_normalize(quaternion))
                 } else {
-                    Err(self.wrong("turned: a unit quaternion x y z w", format!("{i} {j} {k} {w}")))
+                    let found = format!("{i} {j} {k} {w}");
+                    Err(self.wrong(&format!("{place}.turned"), "a unit quaternion x y z w", found))
                 }
             }
         }
     }
 
-    fn hold(&self, held: &mut Held, at: Timestamp, key: RawController) -> Result<(), Error> {
-        self.place(&mut held.grip, at, key.position, key.turned, key.tracking)?;
+    fn hold(&self, held: &mut Held, at: Timestamp, place: &str, key: RawController) -> Result<(), Error> {
+        self.place(&mut held.grip, at, place, key.position, key.turned, key.tracking)?;
         if let Some(aim) = key.aim {
-            self.place(&mut held.aim, at, Some(aim.position), Some(aim.turned), None)?;
+            let place = format!("{place}.aim");
+            self.place(&mut held.aim, at, &place, Some(aim.position), Some(aim.turned), None)?;
         }
         // What is not tracked does not point either.
         if !held.aim.position.is_empty() {
@@ -537,7 +546,7 @@ impl Reader<'_> {
         }
         let within = |name: &str, low: f32, value: Option<f32>| match value {
             Some(found) if !(low..=1.0).contains(&found) => {
-                Err(self.wrong(format!("{name}: {low} to 1"), found.to_string()))
+                Err(self.wrong(&format!("{place}.{name}"), format!("{low} to 1"), found.to_string()))
             }
             value => Ok(value),
         };
@@ -725,21 +734,30 @@ mod tests {
         for (text, said) in [
             ("", "missing field `at-end`"),
             ("at-end = \"hold\"\n[[head]]\ntime = \"1\"", "s.toml:3"),
-            ("at-end = \"hold\"\n[[head]]\ntime = \"-1 s\"", "head: a time of 0 to 86400 s, found -1 s"),
+            (
+                "at-end = \"hold\"\n[[head]]\ntime = \"-1 s\"",
+                "s.toml:3:8: expected a time of 0 to 86400 s, found -1 s",
+            ),
             (
                 "at-end = \"hold\"\n[[head]]\ntime = \"1 s\"\n[[head]]\ntime = \"1 s\"",
-                "head: a time after 1 s, the keyframe before, found 1 s",
+                "s.toml:5:8: expected a time after 1 s, that of the keyframe before, found 1 s",
             ),
-            ("at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\ntrigger = nan", "trigger: 0 to 1, found NaN"),
-            ("at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\nstick = [0, -1.5]", "stick: -1 to 1, found -1.5"),
+            (
+                "at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\ntrigger = nan",
+                "s.toml:4:11: expected 0 to 1, found NaN",
+            ),
+            (
+                "at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\nstick = [0, -1.5]",
+                "s.toml:4:9: expected -1 to 1, found -1.5",
+            ),
             ("at-end = \"hold\"\n[[left]]\ntime = \"0 s\"\ngrab = 1", "unknown field `grab`"),
             (
                 "at-end = \"hold\"\n[[head]]\ntime = \"0 s\"\nturned = [0, 0, 0, 2]",
-                "a unit quaternion x y z w",
+                "s.toml:4:10: expected a unit quaternion x y z w",
             ),
             (
                 "at-end = \"hold\"\nduration = \"1 s\"\n[[head]]\ntime = \"2 s\"",
-                "a duration of at least 2 s, the last keyframe, found 1 s",
+                "s.toml:2:12: expected a duration of at least 2 s, the last keyframe, found 1 s",
             ),
         ] {
             let error = Script::parse(Path::new("s.toml"), text).unwrap_err().to_string();
