@@ -23,13 +23,11 @@ pub(crate) struct Stereo {
     inverse_m: Vec<f64>,
 }
 
-/// A match.
+/// What a match says.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Match {
-    pub pixel: Vector2<f64>,
+pub(crate) struct Place {
     /// Inverse distance along the ray, 1/m, at least 0.
     pub inverse_m: f64,
-    pub likeness: f32,
     /// Distance from the epipolar line, pixels (of one focal length).
     pub off_px: f64,
 }
@@ -114,19 +112,10 @@ impl Stereo {
         Some(self.places[best] / scale)
     }
 
-    /// Follows the patch from the first camera into the second, and says where on its ray the point is.
-    pub fn follow(
-        &self,
-        flow: &mut Flow,
-        here: &Pyramid,
-        there: &Pyramid,
-        pixel: &Vector2<f64>,
-        guess: &Vector2<f64>,
-        coarsest: usize,
-    ) -> Option<Match> {
-        let found = flow.follow(here, there, pixel, guess, coarsest, None)?;
+    /// Where on its ray the point seen at `pixel` here and `found` there is; `None` where it would be behind the cameras.
+    pub fn place(&self, pixel: &Vector2<f64>, found: &Vector2<f64>) -> Option<Place> {
         let ray = self.here.lens.unproject(pixel)?.into_inner();
-        let seen = self.there.lens.unproject(&found.pixel)?.into_inner();
+        let seen = self.there.lens.unproject(found)?.into_inner();
         let focal_px = self.there.lens.focal_px().max();
         let off_px = epipolar_angle(&self.there_from_here, &ray, &seen)?.abs() * focal_px;
         // Distances along both rays to where they come closest.
@@ -140,10 +129,10 @@ impl Stereo {
         // Behind the cameras is allowed as far as noise takes what is far away.
         if behind {
             let far = self.at(&ray, 0.0)?;
-            if (far - found.pixel).norm() > 2.0 {
+            if (far - found).norm() > 2.0 {
                 return None;
             }
         }
-        Some(Match { pixel: found.pixel, inverse_m, likeness: found.likeness, off_px })
+        Some(Place { inverse_m, off_px })
     }
 }

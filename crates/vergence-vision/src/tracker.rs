@@ -1,6 +1,7 @@
 use nalgebra::{Matrix2, UnitQuaternion, Vector2};
 use vergence_geom::Camera;
 
+use crate::anchor::Anchor;
 use crate::stereo::Stereo;
 use crate::{Corner, Error, FastDetector, Flow, FlowKnobs, Gray, Pyramid};
 
@@ -29,6 +30,9 @@ pub struct TrackerKnobs {
     pub epipolar_px: f64,
     /// Correlation of a patch with what it is followed to, at least: −1 to 1. Default 0.7.
     pub least_likeness: f32,
+    /// A patch must say where it is: standard deviation of its place for noise of one grey level, along its weaker direction, at most
+    /// this many pixels, 0.005 to 1. Default 0.1. Large: points that slide along edges.
+    pub spread_px: f64,
     /// Nearest distance at which another camera is searched for a new point, metres, 0.02 to 10. Default 0.2.
     pub nearest_m: f64,
 }
@@ -44,6 +48,7 @@ impl Default for TrackerKnobs {
             back_px: 0.5,
             epipolar_px: 1.5,
             least_likeness: 0.7,
+            spread_px: 0.1,
             nearest_m: 0.2,
         }
     }
@@ -109,6 +114,10 @@ pub struct Frame {
     pub kept: u32,
 }
 
+/// Farthest that the anchor may be from where the patch of the frame before leads, pixels.
+const ANCHOR_PX: f64 = 3.0;
+/// Smallest area of a patch beside that of its anchor; the inverse is the largest.
+const LEAST_SIZE: f64 = 0.4;
 /// Most cameras of a rig.
 const CAMERAS: usize = 8;
 
@@ -122,6 +131,9 @@ struct Track {
     others: [Option<Vector2<f64>>; CAMERAS - 1],
     /// Inverse distance along the ray, as last matched, 1/m.
     inverse_m: [Option<f64>; CAMERAS - 1],
+    /// Its patch as first seen: which of the anchors, and the map from it to the patch of each camera.
+    anchor: usize,
+    linear: [Matrix2<f64>; CAMERAS],
 }
 
 /// Follows points through pictures of one or more cameras that see at the same instants.
@@ -143,6 +155,9 @@ pub struct Tracker {
     started: bool,
     corners: Vec<Corner>,
     occupied: Vec<u16>,
+    anchors: Vec<Anchor>,
+    /// Anchors that no track has.
+    free: Vec<usize>,
     frame: Frame,
 }
 
@@ -165,6 +180,7 @@ impl Tracker {
         check((0.1..=10.0).contains(&k.epipolar_px), "epipolar_px", "0.1 to 10", k.epipolar_px.to_string())?;
         let likeness = (-1.0..=1.0).contains(&k.least_likeness);
         check(likeness, "least_likeness", "-1 to 1", k.least_likeness.to_string())?;
+        check((0.005..=1.0).contains(&k.spread_px), "spread_px", "0.005 to 1", k.spread_px.to_string())?;
         check((0.02..=10.0).contains(&k.nearest_m), "nearest_m", "0.02 to 10", k.nearest_m.to_string())?;
         check((1..=CAMERAS).contains(&rig.len()), "cameras", "1 to 8", rig.len().to_string())?;
         let flow = Flow::new(knobs.flow)?;
@@ -184,6 +200,8 @@ impl Tracker {
             started: false,
             corners: Vec::new(),
             occupied: vec![0; width * height],
+            anchors: Vec::new(),
+            free: Vec::new(),
             frame: Frame {
                 cameras: vec![Vec::new(); rig.len()],
                 stereo: vec![StereoCount::default(); rig.len()],
@@ -201,12 +219,19 @@ impl Tracker {
 
     /// Lets go of points that turned out to be wrong; their cells get new ones with the next frame. `tracks` are in order.
     pub fn forget(&mut self, tracks: &[TrackId]) {
-        self.tracks.retain(|track| tracks.binary_search(&track.id).is_err());
+        let free = &mut self.free;
+        self.tracks.retain(|track| {
+            let keep = tracks.binary_search(&track.id).is_err();
+            if !keep {
+                free.push(track.anchor);
+            }
+            keep
+        });
     }
 
     /// Lets go of every point: the next frame is a first one.
     pub fn restart(&mut self) {
-        self.tracks.clear();
+        self.free.extend(self.tracks.drain(..).map(|track| track.anchor));
         self.started = false;
     }
 
@@ -274,40 +299,86 @@ impl Tracker {
             camera.lens.project(&(now_from_before * ray.into_inner()))
         };
         let mut tracks = std::mem::take(&mut self.tracks);
-        let coarsest = self.knobs.flow.levels - 1;
         tracks.retain_mut(|track| {
-            let Some(by_rotation) = turned(&track.pixel) else { return false };
-            let guess = prediction.of(track.id, 0).unwrap_or(by_rotation + track.drift);
-            let warp = (|| {
-                const STEP: f64 = 4.0;
-                let right = turned(&(track.pixel + Vector2::new(STEP, 0.0)))? - by_rotation;
-                let down = turned(&(track.pixel + Vector2::new(0.0, STEP)))? - by_rotation;
-                Matrix2::from_columns(&[right / STEP, down / STEP]).try_inverse()
-            })();
-            let (before, now) = (&self.before, &self.now[0]);
-            let Some(found) = self.flow.follow(before, now, &track.pixel, &guess, coarsest, warp.as_ref())
-            else {
-                return false;
-            };
-            if found.likeness < self.knobs.least_likeness || !self.inside(&found.pixel) {
-                return false;
+            let kept = self.follow_one(track, &turned, prediction.of(track.id, 0));
+            if !kept {
+                self.free.push(track.anchor);
             }
-            let back = warp.and_then(|warp| warp.try_inverse());
-            let Some(again) =
-                self.flow.follow(now, before, &found.pixel, &track.pixel, 1.min(coarsest), back.as_ref())
-            else {
-                return false;
-            };
-            if (again.pixel - track.pixel).norm() > self.knobs.back_px {
-                return false;
-            }
-            track.drift = found.pixel - by_rotation;
-            track.pixel = found.pixel;
-            track.age += 1;
-            true
+            kept
         });
         self.tracks = tracks;
         self.thin_out();
+    }
+
+    /// Whether the point of `track` is found again; where, is written into it. `turned` moves pixels as rotation alone does.
+    fn follow_one(
+        &mut self,
+        track: &mut Track,
+        turned: &dyn Fn(&Vector2<f64>) -> Option<Vector2<f64>>,
+        predicted: Option<Vector2<f64>>,
+    ) -> bool {
+        let Some(by_rotation) = turned(&track.pixel) else { return false };
+        let guess = predicted.unwrap_or(by_rotation + track.drift);
+        let turn = (|| {
+            const STEP: f64 = 4.0;
+            let right = turned(&(track.pixel + Vector2::new(STEP, 0.0)))? - by_rotation;
+            let down = turned(&(track.pixel + Vector2::new(0.0, STEP)))? - by_rotation;
+            Some(Matrix2::from_columns(&[right / STEP, down / STEP]))
+        })();
+        let warp = turn.and_then(|turn| turn.try_inverse());
+        let (before, now) = (&self.before, &self.now[0]);
+        let coarsest = self.knobs.flow.levels - 1;
+        let levels = (coarsest, 1.min(coarsest));
+        let near = self.flow.approach(before, now, &track.pixel, &guess, levels, warp.as_ref());
+        let Some(near) = near else { return false };
+        let mut pixel = near.pixel;
+        let linear = turn.unwrap_or_else(Matrix2::identity) * track.linear[0];
+        let anchor = &mut self.anchors[track.anchor];
+        let knobs = &self.knobs;
+        let window = knobs.flow.window_px;
+        let anchored =
+            anchor.find(&now.levels()[0], &pixel, &linear, knobs.flow.iterations, knobs.flow.epsilon_px);
+        let sound = |sighting: &crate::anchor::Sighting| {
+            let size = sighting.linear.determinant();
+            sighting.likeness >= knobs.least_likeness
+                && (sighting.pixel - near.pixel).norm() < ANCHOR_PX
+                && (LEAST_SIZE..1.0 / LEAST_SIZE).contains(&size)
+                && sighting.linear.norm_squared() < 3.0 * size
+        };
+        match anchored.filter(sound) {
+            Some(sighting) => {
+                pixel = sighting.pixel;
+                track.linear[0] = sighting.linear;
+                for other in &mut track.linear[1..] {
+                    *other = turn.unwrap_or_else(Matrix2::identity) * *other;
+                }
+            }
+            None => {
+                // The patch has changed too much: what it is now is what is followed from here on.
+                let found = self.flow.follow(before, now, &track.pixel, &pixel, 0, warp.as_ref());
+                let Some(found) = found.filter(|found| found.likeness >= knobs.least_likeness) else {
+                    return false;
+                };
+                pixel = found.pixel;
+                let back = warp.and_then(|warp| warp.try_inverse());
+                let again =
+                    self.flow.follow(now, before, &pixel, &track.pixel, 1.min(coarsest), back.as_ref());
+                if !again.is_some_and(|again| (again.pixel - track.pixel).norm() <= knobs.back_px) {
+                    return false;
+                }
+                if !anchor.take(&now.levels()[0], &pixel, window) || anchor.spread_px() > knobs.spread_px {
+                    return false;
+                }
+                track.linear = [Matrix2::identity(); CAMERAS];
+            }
+        }
+        if !self.inside(&pixel) {
+            return false;
+        }
+        track.drift = pixel - by_rotation;
+        track.pixel = pixel;
+        track.age += 1;
+        true
     }
 
     fn cell(&self, pixel: &Vector2<f64>) -> usize {
@@ -329,7 +400,7 @@ impl Tracker {
                 kept += 1;
             }
         }
-        self.tracks.truncate(kept);
+        self.free.extend(self.tracks.drain(kept..).map(|track| track.anchor));
     }
 
     /// Puts the strongest corners into cells that have too few points.
@@ -377,6 +448,16 @@ impl Tracker {
                     let clear =
                         self.tracks.iter().all(|track| (track.pixel - pixel).norm_squared() > near * near);
                     if clear && self.rig[0].lens.unproject(&pixel).is_some() {
+                        let anchor = self.free.pop().unwrap_or_else(|| {
+                            self.anchors.push(Anchor::default());
+                            self.anchors.len() - 1
+                        });
+                        let window = self.knobs.flow.window_px;
+                        let taken = self.anchors[anchor].take(&self.now[0].levels()[0], &pixel, window);
+                        if !taken || self.anchors[anchor].spread_px() > self.knobs.spread_px {
+                            self.free.push(anchor);
+                            continue;
+                        }
                         self.tracks.push(Track {
                             id: TrackId(self.next),
                             pixel,
@@ -384,6 +465,8 @@ impl Tracker {
                             age: 0,
                             others: [None; CAMERAS - 1],
                             inverse_m: [None; CAMERAS - 1],
+                            anchor,
+                            linear: [Matrix2::identity(); CAMERAS],
                         });
                         self.next += 1;
                         have += 1;
@@ -425,32 +508,48 @@ impl Tracker {
                 }
             };
             count.tried += 1;
-            let Some(found) = stereo.follow(&mut self.flow, here, there, &track.pixel, &guess, coarsest)
-            else {
-                continue;
-            };
-            if found.likeness < self.knobs.least_likeness {
-                continue;
+            if known.is_none() {
+                track.linear[camera] = track.linear[0];
             }
-            let inside = found.pixel.x >= margin
-                && found.pixel.y >= margin
-                && found.pixel.x < size[0] - margin
-                && found.pixel.y < size[1] - margin;
+            let (anchor, knobs) = (&self.anchors[track.anchor], &self.knobs);
+            let mut anchored = |from: &Vector2<f64>| {
+                let (iterations, epsilon_px) = (knobs.flow.iterations, knobs.flow.epsilon_px);
+                let linear = &mut track.linear[camera];
+                let found = anchor.find(&there.levels()[0], from, linear, iterations, epsilon_px)?;
+                let sound = found.likeness >= knobs.least_likeness && (found.pixel - from).norm() < ANCHOR_PX;
+                sound.then(|| {
+                    *linear = found.linear;
+                    found.pixel
+                })
+            };
+            // What is expected is near enough most of the time.
+            let mut seen = expected.and_then(|expected| anchored(&expected));
+            if seen.is_none() {
+                let followed = self.flow.follow(here, there, &track.pixel, &guess, coarsest, None);
+                let followed = followed.filter(|found| found.likeness >= knobs.least_likeness);
+                seen = followed.map(|found| anchored(&found.pixel).unwrap_or(found.pixel));
+            }
+            let Some(seen) = seen else { continue };
+            let Some(place) = stereo.place(&track.pixel, &seen) else { continue };
+            let inside = seen.x >= margin
+                && seen.y >= margin
+                && seen.x < size[0] - margin
+                && seen.y < size[1] - margin;
             if !inside {
                 continue;
             }
             if expected.is_none() {
-                let back = self.flow.follow(there, here, &found.pixel, &track.pixel, 1, None);
+                let back = self.flow.follow(there, here, &seen, &track.pixel, 1, None);
                 if !back.is_some_and(|back| (back.pixel - track.pixel).norm() <= self.knobs.back_px) {
                     continue;
                 }
             }
             count.alike += 1;
-            off_px += found.off_px;
-            if found.off_px <= self.knobs.epipolar_px {
+            off_px += place.off_px;
+            if place.off_px <= self.knobs.epipolar_px {
                 count.matched += 1;
-                track.others[camera - 1] = Some(found.pixel);
-                track.inverse_m[camera - 1] = Some(found.inverse_m);
+                track.others[camera - 1] = Some(seen);
+                track.inverse_m[camera - 1] = Some(place.inverse_m);
             }
         }
         if count.alike > 0 {

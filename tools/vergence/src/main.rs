@@ -18,6 +18,7 @@ mod record;
 mod render;
 mod replay;
 mod run;
+mod slam;
 mod stats;
 mod stream;
 mod study;
@@ -53,6 +54,7 @@ enum Verb {
     Render(render::Args),
     Replay(replay::Args),
     Run(Box<run::Args>),
+    Slam(slam::Args),
     Stats(stats::Args),
     Study(study::Args),
     Trade(trade::Args),
@@ -70,6 +72,7 @@ impl Verb {
             Self::Render(verb) => verb.run(),
             Self::Replay(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
+            Self::Slam(verb) => verb.run(),
             Self::Stats(verb) => verb.run(),
             Self::Study(verb) => verb.run(),
             Self::Trade(verb) => verb.run(),
