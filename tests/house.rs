@@ -32,9 +32,12 @@ const TOP: [&str; 16] = [
 const UNSAFE_ROOMS: [&str; 4] = ["gpu", "xr", "xr-sim", "xr-runtime"];
 
 /// Files elsewhere that lift it for one line each: session vouches for the entry point of the runtime that it links in, vision for the
-/// instruction set that the processor says it has.
-const UNSAFE_FILES: [&str; 2] =
-    ["crates/vergence-session/src/headset.rs", "crates/vergence-vision/src/simd.rs"];
+/// instruction set that the processor says it has, input for the one request to the kernel that no crate wraps.
+const UNSAFE_FILES: [&str; 3] = [
+    "crates/vergence-session/src/headset.rs",
+    "crates/vergence-vision/src/simd.rs",
+    "crates/vergence-input/src/gamepad/clock_id.rs",
+];
 
 /// Third-party crates that only one room may name in its manifest, and that room.
 const OWNED: [(&str, &str); 5] =

@@ -14,6 +14,8 @@ struct Raw {
     serial: RawSerial,
     #[serde(default)]
     hid: RawHid,
+    #[serde(default)]
+    gamepad: RawGamepad,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -39,7 +41,16 @@ enum RawFormat {
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[cfg_attr(not(feature = "hid"), allow(dead_code))]
 struct RawHid {
+    #[serde(default)]
+    mappings: Vec<PathBuf>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[cfg_attr(not(feature = "gamepad"), allow(dead_code))]
+struct RawGamepad {
     #[serde(default)]
     mappings: Vec<PathBuf>,
 }
@@ -50,8 +61,11 @@ pub struct Config {
     /// For serial devices.
     #[cfg(feature = "serial")]
     pub serial: crate::serial::SerialConfig,
-    /// Mapping files that come before those that are built in.
-    pub hid_mappings: Vec<PathBuf>,
+    /// For HID devices: mappings that come before those that are built in.
+    #[cfg(feature = "hid")]
+    pub hid_mappings: Vec<crate::hid::Mapping>,
+    /// Texts in the format of SDL's database, whose lines come before those that are built in.
+    pub gamepad_mappings: Vec<String>,
 }
 
 impl Config {
@@ -104,7 +118,20 @@ impl Config {
             }
         }
         let beside = |mapping: PathBuf| path.parent().unwrap_or(Path::new("")).join(mapping);
-        config.hid_mappings = raw.hid.mappings.into_iter().map(beside).collect();
+        #[cfg(feature = "gamepad")]
+        for mapping in raw.gamepad.mappings {
+            let mapping = beside(mapping);
+            let text = std::fs::read_to_string(&mapping)
+                .map_err(|source| vergence_config::Error::Io { path: mapping.clone(), source })?;
+            if let Some(Err(wrong)) = crate::gamepad::database::lines(&text).find(Result::is_err) {
+                return Err(Error::Mapping { path: mapping, wrong: wrong.to_string() });
+            }
+            config.gamepad_mappings.push(text);
+        }
+        #[cfg(feature = "hid")]
+        for mapping in raw.hid.mappings {
+            config.hid_mappings.push(crate::hid::Mapping::read(&beside(mapping))?);
+        }
         Ok(config)
     }
 }
@@ -125,6 +152,33 @@ mod tests {
         let config = config(text).expect("written");
         assert_eq!((config.serial.baud, config.serial.streams.len()), (921_600, 1));
         assert_eq!(config.serial.least_latency, vergence_time::Span::from_millis(2));
+    }
+
+    #[test]
+    #[cfg(feature = "hid")]
+    fn a_wrong_mapping_is_not_passed_over() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (config, mapping) = (folder.path().join("config.toml"), folder.path().join("unit.toml"));
+        std::fs::write(&config, "[hid]\nmappings = [\"unit.toml\"]\n").expect("written");
+        assert!(Config::read(&config).is_err(), "there is no such file");
+        let text = "name = \"unit\"\nsequence = \"@0:u16\"\nmatch = [{ vendor = 1 }]\nstream = []\n";
+        std::fs::write(&mapping, text).expect("written");
+        let error = Config::read(&config).unwrap_err().to_string();
+        assert!(error.contains("unit.toml:2:12: expected bytes such as"), "{error}");
+    }
+
+    #[test]
+    #[cfg(feature = "gamepad")]
+    fn a_wrong_line_of_a_pads_mapping_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (config, mapping) = (folder.path().join("config.toml"), folder.path().join("pads.txt"));
+        std::fs::write(&config, "[gamepad]\nmappings = [\"pads.txt\"]\n").expect("written");
+        let line = "03000000010000000200000003000000,Pad,a:b0,leftx:a0,platform:Linux,";
+        std::fs::write(&mapping, format!("{line}\n")).expect("written");
+        assert_eq!(Config::read(&config).expect("good").gamepad_mappings.len(), 1);
+        std::fs::write(&mapping, format!("{line}\n{line}q:z\n")).expect("written");
+        let error = Config::read(&config).unwrap_err().to_string();
+        assert!(error.contains("pads.txt: line 2: expected an input"), "{error}");
     }
 
     #[test]

@@ -25,6 +25,14 @@ pub enum Error {
     /// A mapping or a description is wrong.
     #[error("{0}")]
     Config(#[from] vergence_config::Error),
+    /// A line of a gamepads' mapping is wrong.
+    #[error("{path}: {wrong}", path = path.display())]
+    Mapping {
+        /// Of the file.
+        path: std::path::PathBuf,
+        /// Which line, what was expected and found.
+        wrong: String,
+    },
     /// What the device says of itself cannot be understood.
     #[error("{device}: report descriptor: expected {expected}, found {found}")]
     Descriptor {
@@ -44,7 +52,7 @@ pub enum Error {
 }
 
 impl Error {
-    #[cfg_attr(not(any(feature = "serial", feature = "hid", feature = "motion")), allow(dead_code))]
+    #[cfg_attr(not(any(feature = "serial", feature = "hid", feature = "gamepad")), allow(dead_code))]
     pub(crate) fn open(found: &Found, reason: impl ToString) -> Self {
         let reason = found.problem.clone().unwrap_or_else(|| reason.to_string());
         Self::Open { path: found.path.clone(), reason, remedy: found.remedy.clone() }

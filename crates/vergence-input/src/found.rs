@@ -64,7 +64,14 @@ impl Found {
                     // Bluetooth devices have no USB attributes.
                     format!("KERNELS==\"*:{vendor:04X}:{product:04X}.*\""),
                 );
-                let which = if self.adapter == "hid" { own } else { usb };
+                // The input layer repeats them, whatever the bus.
+                let input =
+                    format!("ATTRS{{id/vendor}}==\"{vendor:04x}\", ATTRS{{id/product}}==\"{product:04x}\"");
+                let which = match self.adapter {
+                    "hid" => own,
+                    "serial" => usb,
+                    _ => input,
+                };
                 format!(
                     "echo 'SUBSYSTEM==\"{subsystem}\", {which}, TAG+=\"uaccess\"' | sudo tee \
                      /etc/udev/rules.d/70-vergence-{vendor:04x}-{product:04x}.rules && \

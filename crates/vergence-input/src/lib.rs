@@ -1,10 +1,13 @@
 #![doc = include_str!("../README.md")]
-#![deny(unsafe_code)]
 
+#[cfg(any(feature = "serial", feature = "hid", feature = "gamepad"))]
+mod claim;
 mod config;
 mod connection;
 mod error;
 mod found;
+#[cfg(feature = "gamepad")]
+pub mod gamepad;
 #[cfg(feature = "hid")]
 pub mod hid;
 #[cfg(feature = "serial")]
@@ -26,6 +29,8 @@ use vergence_time::Clock;
 pub fn found(config: &Config) -> Vec<Found> {
     let mut all = Vec::new();
     let _ = config;
+    #[cfg(feature = "gamepad")]
+    all.extend(gamepad::found(config));
     #[cfg(feature = "hid")]
     all.extend(hid::found(config));
     #[cfg(feature = "serial")]
@@ -71,6 +76,10 @@ pub fn open(device: &Found, config: &Config, clock: Arc<dyn Clock>) -> Result<Bo
     match device.adapter {
         #[cfg(feature = "serial")]
         "serial" => Ok(Box::new(serial::SerialSource::open(device, config.serial.clone(), clock)?)),
+        #[cfg(feature = "gamepad")]
+        "gamepad" => Ok(Box::new(gamepad::GamepadSource::open(device, config, clock)?)),
+        #[cfg(feature = "gamepad")]
+        "motion" => Ok(Box::new(gamepad::MotionSource::open(device, clock)?)),
         #[cfg(feature = "hid")]
         "hid" => Ok(Box::new(hid::HidSource::open(device, config, clock)?)),
         _ => Err(Error::open(device, "no adapter of this build reads it")),

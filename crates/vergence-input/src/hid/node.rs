@@ -8,6 +8,7 @@ use std::time::Duration;
 use hidapi::{HidApi, HidDevice};
 
 use super::mapping::{Identity, Mapping};
+use crate::claim::{Claim, is_claimed};
 use crate::config::Config;
 use crate::found::Found;
 
@@ -27,15 +28,15 @@ pub trait Reports: Send {
     fn descriptor(&self) -> std::io::Result<Vec<u8>>;
 }
 
-impl Reports for HidDevice {
+impl Reports for Opened {
     fn read(&mut self, report: &mut [u8], longest: Duration) -> std::io::Result<usize> {
         let millis = i32::try_from(longest.as_millis()).unwrap_or(i32::MAX);
-        self.read_timeout(report, millis).map_err(|error| Error::new(ErrorKind::BrokenPipe, error))
+        self.device.read_timeout(report, millis).map_err(|error| Error::new(ErrorKind::BrokenPipe, error))
     }
 
     fn descriptor(&self) -> std::io::Result<Vec<u8>> {
         let mut bytes = vec![0; 4096];
-        let length = self.get_report_descriptor(&mut bytes).map_err(Error::other)?;
+        let length = self.device.get_report_descriptor(&mut bytes).map_err(Error::other)?;
         bytes.truncate(length);
         Ok(bytes)
     }
@@ -73,15 +74,9 @@ fn all() -> Vec<(Found, Identity)> {
     nodes.into_values().collect()
 }
 
-/// The mappings: those of the configuration first. One that cannot be read is said, and left out.
+/// The mappings: those of the configuration first.
 pub(super) fn mappings(config: &Config) -> Vec<Mapping> {
-    let mut mappings = Vec::new();
-    for path in &config.hid_mappings {
-        match Mapping::read(path) {
-            Ok(mapping) => mappings.push(mapping),
-            Err(error) => log::warn!("{error}"),
-        }
-    }
+    let mut mappings = config.hid_mappings.clone();
     mappings.extend(Mapping::shipped());
     mappings
 }
@@ -100,7 +95,8 @@ pub fn found(config: &Config) -> Vec<Found> {
 
 /// The mapping for a device, and the node that it has now, perhaps another than before.
 pub(super) fn look_up(device: &Found, config: &Config) -> Option<(Found, Mapping)> {
-    let nodes = all();
+    let mut nodes = all();
+    nodes.retain(|(found, _)| !is_claimed(&found.path));
     let same_path = nodes.iter().find(|(found, _)| found.path == device.path && found.is_same_device(device));
     let (found, identity) =
         same_path.or_else(|| nodes.iter().find(|(found, _)| found.is_same_device(device)))?;
@@ -108,8 +104,15 @@ pub(super) fn look_up(device: &Found, config: &Config) -> Option<(Found, Mapping
     Some((found.clone(), mapping))
 }
 
-pub(super) fn open(path: &str) -> std::io::Result<HidDevice> {
-    let path = CString::new(path).map_err(Error::other)?;
+/// A device that counts as read.
+pub(super) struct Opened {
+    device: HidDevice,
+    _claim: Claim,
+}
+
+pub(super) fn open(path: &str) -> std::io::Result<Opened> {
+    let name = CString::new(path).map_err(Error::other)?;
     let api = HidApi::new().map_err(Error::other)?;
-    api.open_path(&path).map_err(Error::other)
+    let device = api.open_path(&name).map_err(Error::other)?;
+    Ok(Opened { device, _claim: Claim::on(path) })
 }
