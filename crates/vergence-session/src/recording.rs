@@ -92,6 +92,9 @@ impl Recording {
         let resolved = Resolved {
             hash_frames: hashes,
             build: if hashes { provenance::build() } else { String::new() },
+            // What the runtime did not offer was not asked for, and is not in a replay.
+            hand_joints: client.reads_hand_joints(),
+            eye_gaze: client.reads_gaze(),
             ..Resolved::of(&run.config, &chosen.profile, chosen.is_simulated, actions)
         };
         let is_virtual = resolved.simulated && !resolved.real_time;
@@ -111,8 +114,8 @@ impl Recording {
         };
         let contents = Contents {
             actions: &run.plan.actions,
-            hand_joints: run.config.hand_joints,
-            eye_gaze: run.config.eye_gaze,
+            hand_joints: client.reads_hand_joints(),
+            eye_gaze: client.reads_gaze(),
             hashes: hashes.then(|| hashed(&client.pictures())),
             is_virtual,
         };

@@ -341,9 +341,6 @@ impl std::fmt::Display for ReplayReport {
                     writeln!(f, "pictures       {images_equal} of {images} equal")?;
                 }
             }
-            for what in &self.comparison.not_compared {
-                writeln!(f, "not compared   {what}")?;
-            }
             let Comparison { extra_frames, extra_events, .. } = self.comparison;
             if extra_frames + extra_events > 0 {
                 writeln!(f, "after the end  {extra_frames} frames and {extra_events} events more")?;

@@ -22,7 +22,9 @@ pub(crate) struct Resolved {
     pub(crate) seconds: Option<f64>,
     pub(crate) retries: u32,
     pub(crate) quality: QualityRecord,
+    /// Hands were asked for, and the runtime offered them.
     pub(crate) hand_joints: bool,
+    /// As for hands.
     pub(crate) eye_gaze: bool,
     pub(crate) refresh_rate_hz: Option<f32>,
     /// Names of the actions, in their places.
@@ -57,6 +59,11 @@ pub(crate) struct ProfileRecord {
     rates_hz: Vec<f64>,
     ipd_m: f64,
     controllers: String,
+    /// Recordings of earlier versions had no hands and no gaze to see.
+    #[serde(default)]
+    hands: bool,
+    #[serde(default)]
+    gaze: bool,
     eyes: [EyeRecord; 2],
 }
 
@@ -122,6 +129,8 @@ impl From<&Profile> for ProfileRecord {
             rates_hz: profile.rates_hz.clone(),
             ipd_m: profile.ipd_m,
             controllers: profile.controllers.clone(),
+            hands: profile.hands,
+            gaze: profile.gaze,
             eyes: profile.eyes.each_ref().map(eye),
         }
     }
@@ -148,6 +157,8 @@ impl ProfileRecord {
             rates_hz: self.rates_hz.clone(),
             ipd_m: self.ipd_m,
             controllers: self.controllers.clone(),
+            hands: self.hands,
+            gaze: self.gaze,
             eyes: self.eyes.each_ref().map(eye),
         }
     }

@@ -1,7 +1,7 @@
 //! Compares a session that runs with one that was recorded, frame by frame, while it runs.
 
 use serde::Serialize;
-use vergence_sense::{Body, Said};
+use vergence_sense::Said;
 use vergence_xr_sim::motion::{RUN_ENDED, SESSION_BEGINS};
 
 use crate::said_log::Outcome;
@@ -24,8 +24,6 @@ pub struct Comparison {
     pub images_equal: u64,
     /// Why pictures were not compared; `None` where they were.
     pub images_not_compared: Option<String>,
-    /// What else of the recording was not compared, and why.
-    pub not_compared: Vec<&'static str>,
     /// Frames of the replay after the last one of the recording. A difference where the recording has its end; one that
     /// was cut off, a part of one, and one whose runtime hung say nothing of what came then.
     pub extra_frames: u64,
@@ -169,21 +167,9 @@ impl Verifier {
 
     /// Whether all calls are alike.
     fn compare_calls(&mut self, expected: &[Said], heard: &[Said], place: impl Fn() -> String) -> bool {
-        for said in expected {
-            let what = match said {
-                Said::Joints { .. } => "the joints of the hands: the simulated headset sees none",
-                Said::Place { of: Body::Gaze, .. } => "the gaze: the simulated headset does not see it",
-                _ => continue,
-            };
-            if !self.result.not_compared.contains(&what) {
-                self.result.not_compared.push(what);
-            }
-        }
         let has_results = self.has_results;
         let is_call = |said: &&Said| match said {
             Said::Event(_) | Said::Hash(_) => false,
-            // What the simulated headset cannot give is not compared.
-            Said::Joints { .. } | Said::Place { of: Body::Gaze, .. } => false,
             Said::Result(_) => has_results,
             _ => true,
         };

@@ -73,6 +73,8 @@ fn expected(entry_point: &str, what: &str, call: u64) -> End {
         | "xrGetDisplayRefreshRateFB"
         | "xrConvertTimespecTimeToTimeKHR" => End::On,
         "xrGetVisibilityMaskKHR" | "xrSuggestInteractionProfileBindings" if !lost => End::On,
+        // A session without hands is one.
+        "xrCreateHandTrackerEXT" if refusal => End::On,
         // Nothing can be done about what is taken down.
         name if name.starts_with("xrDestroy") => End::On,
         "xrEndSession" | "xrRequestExitSession" => End::On,
@@ -96,6 +98,7 @@ fn expected(entry_point: &str, what: &str, call: u64) -> End {
         | "xrEndFrame"
         | "xrLocateViews"
         | "xrLocateSpace"
+        | "xrLocateHandJointsEXT"
         | "xrAcquireSwapchainImage"
         | "xrWaitSwapchainImage"
         | "xrReleaseSwapchainImage"
@@ -163,6 +166,8 @@ fn config(profile: &std::path::Path, faults: FaultPlan, hang_s: f64) -> RunConfi
         profile: Some(profile.to_str().unwrap().to_owned()),
         motion: Some(profile.with_file_name("user.toml").to_str().unwrap().to_owned()),
         frames: Some(FRAMES),
+        hand_joints: true,
+        eye_gaze: true,
         quality: vergence_render::Quality { msaa: 1, ..Default::default() },
         faults,
         hang_s,

@@ -105,6 +105,23 @@ fn script(ms: u32, headset: &str) -> String {
         [[left]]
         time = "250 ms"
         stick = [0.7, 0.2]
+        [[right-hand]]
+        time = "0 s"
+        position = ["0.2 m", "1.4 m", "-0.3 m"]
+        curl = 0.1
+        [[right-hand]]
+        time = "220 ms"
+        position = ["0.1 m", "1.3 m", "-0.3 m"]
+        curl = [0.9, 0.0, 0.8, 0.8, 1.0]
+        [[right-hand]]
+        time = "240 ms"
+        tracking = "lost"
+        [[gaze]]
+        time = "0 s"
+        turned = {{ yaw = "15 deg" }}
+        [[gaze]]
+        time = "230 ms"
+        turned = {{ yaw = "-10 deg", pitch = "5 deg" }}
         {headset}
         "#
     )
@@ -140,6 +157,8 @@ impl Bench {
             profile: Some(profile.to_str().unwrap().to_owned()),
             motion: Some(motion.to_str().unwrap().to_owned()),
             quality: vergence_render::Quality { msaa: 1, timestamps: false, ..Default::default() },
+            hand_joints: true,
+            eye_gaze: true,
             record: Some(RecordConfig {
                 path: self.log.clone(),
                 durable: false,
@@ -164,6 +183,16 @@ fn assert_equal(report: &ReplayReport, frames: u64) {
     assert_eq!(c.events, c.events_equal);
     assert!(c.events >= 7, "{} events", c.events);
     assert!(report.complete && report.damage.is_none());
+}
+
+/// How many messages each stream has.
+fn kinds(log: &std::path::Path) -> std::collections::BTreeMap<String, usize> {
+    let mut reader = vergence_log::Reader::open(log).unwrap();
+    let mut counts = std::collections::BTreeMap::new();
+    while let Some(entry) = reader.next().unwrap() {
+        *counts.entry(entry.stream.name.clone()).or_default() += 1;
+    }
+    counts
 }
 
 #[test]
@@ -191,6 +220,22 @@ fn a_whole_session_is_lived_through_again() {
     assert_eq!((recording.dropped, recording.error.as_ref()), (0, None));
     assert!(report.frames > 20 && report.paced > report.frames);
     assert!(report.touches.iter().any(|touch| touch.what == "pointed"), "{:?}", report.touches);
+
+    // Everything that a session says is in it: hands that are seen and not, the gaze, controls of every kind, pulses.
+    let kinds = kinds(&bench.log);
+    for stream in [
+        "/hand/left/joints",
+        "/hand/right/joints",
+        "/gaze",
+        "/action/aim/right",
+        "/action/select/right",
+        "/action/grab/right",
+        "/action/move/left",
+        "/action/menu/left",
+        "/action/pulse/right",
+    ] {
+        assert!(kinds.get(stream).is_some_and(|count| *count > 3), "{stream}: {kinds:?}");
+    }
 
     let again = bench.replay(None);
     assert_equal(&again, report.paced);
@@ -232,7 +277,8 @@ fn a_recording_that_was_cut_off_goes_as_far_as_it_goes() {
     }
     let bench = Bench::new();
     let undrawn = "[[headset]]\ntime = \"0 s\"\nrender = false";
-    let config = bench.config(&script(2000, undrawn));
+    // Long enough for more than two chunks of a mebibyte, however fast the machine is.
+    let config = bench.config(&script(8000, undrawn));
     run(&triangle(), &config, &mut |_| {}).unwrap();
     let whole = std::fs::read(&bench.log).unwrap();
     // From the first byte behind what makes it a log of a session, a chunk that is not whole: no frame is left.

@@ -55,6 +55,9 @@ impl Action {
     }
 }
 
+/// The top-level user path of the eyes, with XR_EXT_eye_gaze_interaction.
+pub(crate) const EYES: &str = "/user/eyes_ext";
+
 /// The hand that a top-level user path names.
 pub(crate) fn hand_of(user_path: &str) -> Option<Hand> {
     match user_path {

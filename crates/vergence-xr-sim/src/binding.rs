@@ -5,7 +5,8 @@ use std::sync::atomic::Ordering;
 
 use openxr_sys as sys;
 
-use crate::action::{Action, ActionSet, USER_PATHS, hand_of};
+use crate::action::{Action, ActionSet, EYES, USER_PATHS, hand_of};
+use crate::extension::Extension;
 use crate::ffi::{In, Out, XrResult, array};
 use crate::handle;
 use crate::instance::Instance;
@@ -17,7 +18,8 @@ use crate::session::Session;
 #[derive(Clone)]
 pub(crate) struct Binding {
     pub action: Arc<Action>,
-    pub hand: Hand,
+    /// `None` where the eyes do it.
+    pub hand: Option<Hand>,
     pub component: &'static Component,
     /// The whole path of the component.
     pub path: sys::Path,
@@ -83,7 +85,7 @@ pub(crate) fn suggest_interaction_profile_bindings(
     let shared = &mut *instance.lock();
     let path = shared.paths.text(info.interaction_profile)?;
     let profile = interaction::profile(path)
-        .filter(|profile| profile.since_minor <= instance.minor)
+        .filter(|profile| profile.is_offered(instance))
         .ok_or(sys::Result::ERROR_PATH_UNSUPPORTED)?;
     let mut bindings = Vec::with_capacity(suggested.len());
     for suggestion in suggested {
@@ -134,10 +136,10 @@ pub(crate) fn choose_profile(session: &Session, hand: Hand) -> Option<&'static I
     })
 }
 
-/// The bindings of a hand under a profile, of the actions in these sets.
+/// The bindings of a hand, or of the eyes, under a profile, of the actions in these sets.
 pub(crate) fn resolve(
     session: &Session,
-    hand: Hand,
+    hand: Option<Hand>,
     profile: &'static InteractionProfile,
     sets: &[Arc<ActionSet>],
 ) -> Vec<Binding> {
@@ -151,7 +153,7 @@ pub(crate) fn resolve(
             continue;
         };
         let attached = sets.iter().any(|set| Arc::ptr_eq(set, &action.set));
-        if !attached || hand_of(component.user) != Some(hand) || !converts(action.kind, component.kind) {
+        if !attached || hand_of(component.user) != hand || !converts(action.kind, component.kind) {
             continue;
         }
         let whole = format!("{}{}", component.user, component.subpath);
@@ -162,13 +164,23 @@ pub(crate) fn resolve(
     bindings
 }
 
+/// Whether an action is what the application reads the gaze by: the eyes' is the only binding that it has.
+pub(crate) fn is_gaze(instance: &Instance, action: &Action) -> bool {
+    let suggestions = &instance.lock().suggestions;
+    let of = |profile: &str| {
+        suggestions.get(profile).is_some_and(|all| all.iter().any(|(of, _)| *of == action.handle))
+    };
+    of(interaction::GAZE)
+}
+
 pub(crate) fn get_current_interaction_profile(
     session: &Session,
     user: sys::Path,
     mut out: Out<sys::InteractionProfileState>,
 ) -> XrResult {
     let user = session.instance.lock().paths.text(user)?.to_owned();
-    if !USER_PATHS.contains(&user.as_str()) {
+    let of_eyes = user == EYES && session.instance.has(Extension::EyeGaze);
+    if !of_eyes && !USER_PATHS.contains(&user.as_str()) {
         return Err(sys::Result::ERROR_PATH_UNSUPPORTED);
     }
     let state = out.fill()?;
@@ -176,7 +188,11 @@ pub(crate) fn get_current_interaction_profile(
     if !inner.input.attached() {
         return Err(sys::Result::ERROR_ACTIONSET_NOT_ATTACHED);
     }
-    let profile = hand_of(&user).and_then(|hand| inner.input.profile(hand));
+    let profile = match hand_of(&user) {
+        Some(hand) => inner.input.profile(hand),
+        None if of_eyes && inner.input.has_eyes() => interaction::profile(interaction::GAZE),
+        None => None,
+    };
     state.interaction_profile = match profile {
         Some(profile) => session.instance.lock().paths.intern(profile.path)?,
         None => sys::Path::NULL,

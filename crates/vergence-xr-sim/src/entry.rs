@@ -11,7 +11,8 @@ use crate::ffi::{Buffer, In, Out, XrResult, guard, text};
 use crate::handle;
 use crate::instance::Instance;
 use crate::{
-    action, binding, clock, event, frame, input, instance, path, refresh, session, source, space, swapchain,
+    action, binding, clock, event, frame, hand, input, instance, path, refresh, session, source, space,
+    swapchain,
 };
 use crate::{system, view, vulkan};
 
@@ -68,6 +69,9 @@ macro_rules! argument {
     };
     (swapchain $x:ident) => {
         &*swapchain::get($x)?
+    };
+    (hand_tracker $x:ident) => {
+        &*hand::get($x)?
     };
     (action_set $x:ident) => {
         handle::get::<action::ActionSet>($x)?
@@ -303,6 +307,18 @@ entry_points! {
         view::get_visibility_mask {
             session session: sys::Session, value ty: sys::ViewConfigurationType, value view: u32,
             value mask: sys::VisibilityMaskTypeKHR, output out: *mut sys::VisibilityMaskKHR
+        }
+    When::With(Extension::HandTracking), CreateHandTrackerEXT "xrCreateHandTrackerEXT" =>
+        hand::create_hand_tracker {
+            shared_session session: sys::Session, input info: *const sys::HandTrackerCreateInfoEXT,
+            output out: *mut sys::HandTrackerEXT
+        }
+    When::With(Extension::HandTracking), DestroyHandTrackerEXT "xrDestroyHandTrackerEXT" =>
+        hand::destroy_hand_tracker { handle tracker: sys::HandTrackerEXT }
+    When::With(Extension::HandTracking), LocateHandJointsEXT "xrLocateHandJointsEXT" =>
+        hand::locate_hand_joints {
+            hand_tracker tracker: sys::HandTrackerEXT, input info: *const sys::HandJointsLocateInfoEXT,
+            output out: *mut sys::HandJointLocationsEXT
         }
     When::With(Extension::DisplayRefreshRate), EnumerateDisplayRefreshRatesFB "xrEnumerateDisplayRefreshRatesFB" =>
         refresh::enumerate_display_refresh_rates { session session: sys::Session; buffer capacity count rates: f32 }

@@ -11,11 +11,13 @@ pub(crate) enum Extension {
     LocalFloor,
     DisplayRefreshRate,
     Headless,
+    HandTracking,
+    EyeGaze,
 }
 
 impl Extension {
     /// Each with its name and the revision of the specification that is implemented.
-    pub(crate) const ALL: [(Self, &'static str, u32); 8] = [
+    pub(crate) const ALL: [(Self, &'static str, u32); 10] = [
         (Self::VulkanEnable2, "XR_KHR_vulkan_enable2", 2),
         (Self::CompositionLayerDepth, "XR_KHR_composition_layer_depth", 6),
         (Self::VisibilityMask, "XR_KHR_visibility_mask", 2),
@@ -24,6 +26,8 @@ impl Extension {
         (Self::LocalFloor, "XR_EXT_local_floor", 1),
         (Self::DisplayRefreshRate, "XR_FB_display_refresh_rate", 1),
         (Self::Headless, "XR_MND_headless", 2),
+        (Self::HandTracking, "XR_EXT_hand_tracking", 4),
+        (Self::EyeGaze, "XR_EXT_eye_gaze_interaction", 2),
     ];
 
     pub(crate) fn named(name: &str) -> Option<Self> {

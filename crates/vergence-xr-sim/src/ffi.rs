@@ -117,6 +117,13 @@ typed!(
     SpacesLocateInfo,
     SpaceLocations,
     SpaceVelocities,
+    SystemHandTrackingPropertiesEXT,
+    SystemEyeGazeInteractionPropertiesEXT,
+    EyeGazeSampleTimeEXT,
+    HandTrackerCreateInfoEXT,
+    HandJointsLocateInfoEXT,
+    HandJointLocationsEXT,
+    HandJointVelocitiesEXT,
 );
 
 /// A structure that the application hands in.

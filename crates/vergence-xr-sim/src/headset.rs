@@ -35,6 +35,10 @@ pub struct Profile {
     pub eyes: [Eye; 2],
     /// The interaction profile of the controllers that the simulated user holds.
     pub controllers: String,
+    /// It sees the joints of bare hands, and of those that hold controllers.
+    pub hands: bool,
+    /// It sees where its user looks.
+    pub gaze: bool,
 }
 
 /// One eye of a headset.
@@ -58,6 +62,10 @@ struct Raw {
     ipd: Length,
     #[serde(default)]
     controllers: Option<String>,
+    #[serde(default = "yes")]
+    hands: bool,
+    #[serde(default = "yes")]
+    gaze: bool,
     left: RawEye,
     /// The mirror image of the left one unless said otherwise.
     #[serde(default)]
@@ -81,6 +89,11 @@ struct RawFov {
     right: Angle,
     up: Angle,
     down: Angle,
+}
+
+/// A simulated headset sees everything unless its profile says otherwise.
+const fn yes() -> bool {
+    true
 }
 
 impl Default for Profile {
@@ -144,7 +157,16 @@ impl Profile {
             eye.resolve(side, ipd_m).map_err(wrong)
         };
         let eyes = [resolve(raw.left, "left", -1.0)?, resolve(right, "right", 1.0)?];
-        Ok(Self { name: raw.name, resolution: raw.resolution, rates_hz, ipd_m, eyes, controllers })
+        Ok(Self {
+            name: raw.name,
+            resolution: raw.resolution,
+            rates_hz,
+            ipd_m,
+            eyes,
+            controllers,
+            hands: raw.hands,
+            gaze: raw.gaze,
+        })
     }
 
     /// The same headset on somebody whose eyes are `ipd_m` metres apart.

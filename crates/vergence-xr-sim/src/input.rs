@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use openxr_sys as sys;
-use vergence_sense::ControlState;
+use vergence_sense::{Body, ControlState};
 use vergence_time::Timestamp;
 
 use crate::action::{Action, ActionSet, hand_of};
@@ -27,6 +27,8 @@ pub(crate) struct Input {
     sets: Option<Vec<Arc<ActionSet>>>,
     profiles: [Option<&'static InteractionProfile>; 2],
     bindings: Vec<Binding>,
+    /// The eyes' bindings are among them.
+    has_eyes: bool,
     /// By action and, where only one hand counts, that hand.
     values: HashMap<(sys::Action, Option<Hand>), Value>,
 }
@@ -52,14 +54,19 @@ impl Input {
         self.profiles[hand as usize]
     }
 
-    /// The bindings of an action, of one hand or of both.
+    /// Whether the eyes are listened to.
+    pub(crate) fn has_eyes(&self) -> bool {
+        self.has_eyes
+    }
+
+    /// The bindings of an action, of one hand or of all that there are.
     pub(crate) fn bindings_of<'a>(
         &'a self,
         action: &'a Action,
         hand: Option<Hand>,
     ) -> impl Iterator<Item = &'a Binding> {
         self.bindings.iter().filter(move |binding| {
-            binding.action.handle == action.handle && hand.is_none_or(|hand| binding.hand == hand)
+            binding.action.handle == action.handle && hand.is_none_or(|hand| binding.hand == Some(hand))
         })
     }
 
@@ -144,10 +151,19 @@ fn choose_profiles(session: &Session, input: &mut Input, controllers: &[Controll
         }
         changed = true;
         input.profiles[hand as usize] = profile;
-        input.bindings.retain(|binding| binding.hand != hand);
+        input.bindings.retain(|binding| binding.hand != Some(hand));
         if let Some(profile) = profile {
-            input.bindings.extend(binding::resolve(session, hand, profile, &sets));
+            input.bindings.extend(binding::resolve(session, Some(hand), profile, &sets));
         }
+    }
+    if !input.has_eyes
+        && session.instance.sees_gaze()
+        && let Some(profile) = interaction::profile(interaction::GAZE)
+    {
+        let bindings = binding::resolve(session, None, profile, &sets);
+        input.has_eyes = !bindings.is_empty();
+        changed |= input.has_eyes;
+        input.bindings.extend(bindings);
     }
     if changed && session.replay().is_none() {
         session.instance.push_event(Event::InteractionProfileChanged { session: session.handle });
@@ -157,11 +173,12 @@ fn choose_profiles(session: &Session, input: &mut Input, controllers: &[Controll
 fn update(input: &mut Input, active: &[Active], controllers: &[Controller; 2], now: Timestamp) {
     let is_active = |binding: &Binding| {
         active.iter().find(|active| {
-            active.set == binding.action.set.handle && active.hand.is_none_or(|hand| hand == binding.hand)
+            active.set == binding.action.set.handle
+                && active.hand.is_none_or(|hand| Some(hand) == binding.hand)
         })
     };
     // The highest priority that listens to each input keeps it to itself.
-    let mut highest: HashMap<(Hand, &str), u32> = HashMap::new();
+    let mut highest: HashMap<(Option<Hand>, &str), u32> = HashMap::new();
     for binding in &input.bindings {
         if let Some(active) = is_active(binding) {
             let priority = highest.entry((binding.hand, input_of(binding.component.subpath))).or_default();
@@ -177,11 +194,14 @@ fn update(input: &mut Input, active: &[Active], controllers: &[Controller; 2], n
         if outranked {
             continue;
         }
-        let mut read = interaction::read(&controllers[binding.hand as usize], binding.component.subpath);
+        let mut read = match binding.hand {
+            Some(hand) => interaction::read(&controllers[hand as usize], binding.component.subpath),
+            None => [0.0; 2],
+        };
         if binding.action.kind == sys::ActionType::BOOLEAN_INPUT {
             read = [f32::from(u8::from(read[0] >= PRESSED)), 0.0];
         }
-        for key in [None, Some(binding.hand)] {
+        for key in [None, binding.hand] {
             let value = found.entry((binding.action.handle, key)).or_default();
             *value = stronger(*value, read);
         }
@@ -216,8 +236,12 @@ fn state_of(session: &Session, info: In<sys::ActionStateGetInfo>, kind: sys::Act
     if info.subaction_path != sys::Path::NULL && hand.is_none() {
         return Ok(Value::default());
     }
-    if let (Some(replay), Some(hand)) = (session.replay(), hand) {
-        return Ok(said(replay, &action, hand));
+    match (session.replay(), hand) {
+        (Some(replay), Some(hand)) => return Ok(said(replay, &action, hand)),
+        (Some(replay), None) if binding::is_gaze(&session.instance, &action) => {
+            return Ok(Value { active: replay.locates(Body::Gaze), ..Value::default() });
+        }
+        _ => {}
     }
     Ok(session.lock().input.values.get(&(action.handle, hand)).copied().unwrap_or_default())
 }
@@ -225,7 +249,8 @@ fn state_of(session: &Session, info: In<sys::ActionStateGetInfo>, kind: sys::Act
 /// What a recording says that an action read.
 fn said(replay: &Replay, action: &Action, hand: Hand) -> Value {
     if action.kind == sys::ActionType::POSE_INPUT {
-        return Value { active: replay.locates(&action.name, hand), ..Value::default() };
+        let body = replay.action(&action.name).map(|place| Body::Action(place, hand));
+        return Value { active: body.is_some_and(|body| replay.locates(body)), ..Value::default() };
     }
     let value = match replay.control(&action.name, hand) {
         Some(ControlState::Button(button)) => button.0.map(|on| [f32::from(u8::from(on)), 0.0]),
@@ -306,6 +331,7 @@ impl Session {
         let (hand, subpath) = (binding.hand, binding.component.subpath);
         let motion_time = inner.motion_time(at);
         drop(inner);
+        let Some(hand) = hand else { return self.instance.config.motion.gaze(motion_time) };
         let controller = self.instance.config.motion.controller(hand, motion_time);
         if subpath.starts_with("/input/aim/") { controller.aim } else { controller.grip }
     }

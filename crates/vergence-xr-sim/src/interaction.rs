@@ -5,6 +5,9 @@ use std::sync::OnceLock;
 
 use openxr_sys::ActionType;
 
+use crate::action::EYES;
+use crate::extension::Extension;
+use crate::instance::Instance;
 use crate::motion::Controller;
 
 /// An interaction profile.
@@ -14,7 +17,19 @@ pub(crate) struct InteractionProfile {
     pub title: &'static str,
     /// The minor version of core OpenXR 1 that it came with.
     pub since_minor: u16,
+    /// The extension that it came with, where it is none of the core.
+    pub extension: Option<Extension>,
     pub components: Vec<Component>,
+}
+
+/// That of the eyes (XR_EXT_eye_gaze_interaction).
+pub(crate) const GAZE: &str = "/interaction_profiles/ext/eye_gaze_interaction";
+
+impl InteractionProfile {
+    /// Whether an application with this instance may suggest bindings for it.
+    pub(crate) fn is_offered(&self, instance: &Instance) -> bool {
+        self.since_minor <= instance.minor && self.extension.is_none_or(|extension| instance.has(extension))
+    }
 }
 
 /// One input or output of an interaction profile.
@@ -28,7 +43,7 @@ pub(crate) struct Component {
     pub since_minor: u16,
 }
 
-/// Every profile of core OpenXR 1.0 and 1.1.
+/// Every profile of core OpenXR 1.0 and 1.1, and that of the eyes.
 pub(crate) fn profiles() -> &'static [InteractionProfile] {
     static PROFILES: OnceLock<Vec<InteractionProfile>> = OnceLock::new();
     PROFILES.get_or_init(|| parse(include_str!("../interaction/profiles.txt")))
@@ -60,7 +75,8 @@ fn parse(text: &'static str) -> Vec<InteractionProfile> {
             profiles.push(InteractionProfile {
                 path,
                 title,
-                since_minor: minor(version),
+                since_minor: if version == "1.1" { 1 } else { 0 },
+                extension: Extension::named(version),
                 components: Vec::new(),
             });
         } else if let Some(profile) = profiles.last_mut() {
@@ -81,6 +97,7 @@ fn parse(text: &'static str) -> Vec<InteractionProfile> {
                     "left" => "/user/hand/left",
                     "right" => "/user/hand/right",
                     "head" => "/user/head",
+                    "eyes" => EYES,
                     _ => "/user/gamepad",
                 };
                 Component { user, subpath, kind, since_minor }
@@ -144,8 +161,12 @@ mod tests {
 
     #[test]
     fn the_table_is_whole() {
-        assert_eq!(profiles().len(), 22);
-        assert_eq!(profiles().iter().filter(|p| p.since_minor == 0).count(), 9);
+        let core = || profiles().iter().filter(|p| p.extension.is_none());
+        assert_eq!((core().count(), core().filter(|p| p.since_minor == 0).count()), (22, 9));
+        assert_eq!(
+            profile(GAZE).map(|gaze| (gaze.extension, gaze.components.len())),
+            Some((Some(Extension::EyeGaze), 1))
+        );
         let simple = profile("/interaction_profiles/khr/simple_controller").unwrap();
         assert_eq!(simple.components.iter().filter(|c| c.since_minor == 0).count(), 10);
         assert!(profiles().iter().all(|p| !p.components.is_empty() && !p.title.is_empty()));

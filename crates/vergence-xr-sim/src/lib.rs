@@ -17,6 +17,7 @@ mod features;
 mod ffi;
 mod frame;
 mod graphics;
+mod hand;
 mod handle;
 pub mod headset;
 mod input;

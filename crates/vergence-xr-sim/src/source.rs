@@ -5,12 +5,12 @@ use std::ffi::c_char;
 use openxr_sys as sys;
 use vergence_time::Span;
 
-use crate::action::{Action, USER_PATHS, hand_of};
+use crate::action::{Action, EYES, USER_PATHS, hand_of};
 use crate::config::Haptic;
 use crate::ffi::{Buffer, In, XrResult};
 use crate::handle;
 use crate::input::select;
-use crate::interaction::component_title;
+use crate::interaction::{self, component_title};
 use crate::motion::Hand;
 use crate::session::Session;
 
@@ -41,6 +41,7 @@ pub(crate) fn get_input_source_localized_name(
     let path = session.instance.lock().paths.text(info.source_path)?.to_owned();
     let user = USER_PATHS
         .into_iter()
+        .chain([EYES])
         .find(|user| path.strip_prefix(user).is_some_and(|rest| rest.is_empty() || rest.starts_with('/')))
         .ok_or(sys::Result::ERROR_PATH_UNSUPPORTED)?;
     let inner = session.lock();
@@ -52,11 +53,17 @@ pub(crate) fn get_input_source_localized_name(
         words.push(match hand_of(user) {
             Some(Hand::Left) => "Left hand".to_owned(),
             Some(Hand::Right) => "Right hand".to_owned(),
+            None if user == EYES => "Eyes".to_owned(),
             None => component_title(user.trim_start_matches("/user/")),
         });
     }
+    let profile = match hand_of(user) {
+        Some(hand) => inner.input.profile(hand),
+        None if user == EYES && inner.input.has_eyes() => interaction::profile(interaction::GAZE),
+        None => None,
+    };
     if info.which_components.contains(F::INTERACTION_PROFILE)
-        && let Some(profile) = hand_of(user).and_then(|hand| inner.input.profile(hand))
+        && let Some(profile) = profile
     {
         words.push(profile.title.to_owned());
     }
@@ -76,7 +83,8 @@ fn hands(session: &Session, info: &sys::HapticActionInfo) -> XrResult<Vec<Hand>>
     if info.subaction_path != sys::Path::NULL && hand.is_none() {
         return Ok(Vec::new());
     }
-    let mut hands: Vec<Hand> = inner.input.bindings_of(&action, hand).map(|binding| binding.hand).collect();
+    let mut hands: Vec<Hand> =
+        inner.input.bindings_of(&action, hand).filter_map(|binding| binding.hand).collect();
     hands.sort();
     hands.dedup();
     Ok(hands)

@@ -9,6 +9,7 @@ use vergence_sense::{Body, RawLocation};
 use vergence_time::{Span, Timestamp};
 
 use crate::action::{Action, hand_of};
+use crate::binding::is_gaze;
 use crate::clock::valid_time;
 use crate::fault::bent_pose;
 use crate::ffi::{Buffer, In, Out, XrResult, array, chained_out};
@@ -45,7 +46,7 @@ pub(crate) fn get(handle: sys::Space) -> XrResult<Arc<Space>> {
 
 /// Half the step over which velocities are taken: short against any motion of a person, long against the rounding
 /// of positions.
-const VELOCITY_STEP: Span = Span::from_nanos(500_000);
+pub(crate) const VELOCITY_STEP: Span = Span::from_nanos(500_000);
 
 impl Space {
     /// Where the space is at an instant of session time: its coordinates to those of the stage.
@@ -78,6 +79,9 @@ impl Space {
         let body = match &self.origin {
             Origin::View => Body::Head,
             Origin::LocalFloor | Origin::Stage => Body::Floor,
+            Origin::Action(action, sys::Path::NULL) => {
+                is_gaze(&self.session.instance, action).then_some(Body::Gaze)?
+            }
             Origin::Action(action, subaction) => {
                 let hand = hand_of(self.session.instance.lock().paths.text(*subaction).ok()?)?;
                 Body::Action(replay.action(&action.name)?, hand)
@@ -97,24 +101,27 @@ impl Space {
 
 /// Where `space` is in `base`, with what is known about it.
 pub(crate) fn locate(space: &Space, base: &Space, at: Timestamp) -> (Option<Rigid>, sys::SpaceLocationFlags) {
-    use sys::SpaceLocationFlags as F;
-    let valid = F::ORIENTATION_VALID | F::POSITION_VALID;
-    let tracked = F::ORIENTATION_TRACKED | F::POSITION_TRACKED;
     if space.is(base) {
         // Fixed to the same thing: known whether that is seen or not.
         let seen = matches!(space.stage_from_space(at), Tracked::Seen(_));
         let base_from_space = base.origin_from_space.inverse() * space.origin_from_space;
-        let flags = if seen { valid | tracked } else { valid };
-        return (Some(base_from_space), flags);
+        return (Some(base_from_space), flags_of(seen));
     }
     match (base.stage_from_space(at), space.stage_from_space(at)) {
-        (Tracked::Lost, _) | (_, Tracked::Lost) => (None, F::EMPTY),
+        (Tracked::Lost, _) | (_, Tracked::Lost) => (None, sys::SpaceLocationFlags::EMPTY),
         (base, space) => {
             let seen = matches!((base, space), (Tracked::Seen(_), Tracked::Seen(_)));
             let pose = base.pose().zip(space.pose()).map(|(base, space)| base.inverse() * space);
-            (pose, if seen { valid | tracked } else { valid })
+            (pose, flags_of(seen))
         }
     }
+}
+
+/// What is known of a place that may be read.
+pub(crate) fn flags_of(is_tracked: bool) -> sys::SpaceLocationFlags {
+    use sys::SpaceLocationFlags as F;
+    let valid = F::ORIENTATION_VALID | F::POSITION_VALID;
+    if is_tracked { valid | F::ORIENTATION_TRACKED | F::POSITION_TRACKED } else { valid }
 }
 
 /// Velocities of `space` in `base`, in the axes of `base`: metres and radians per second, by the central difference.
@@ -124,11 +131,15 @@ fn velocity(space: &Space, base: &Space, at: Timestamp) -> Option<(Vector3<f64>,
     }
     let back = Span::from_nanos(-VELOCITY_STEP.as_nanos());
     let (before, after) = (at.saturating_add(back), at.saturating_add(VELOCITY_STEP));
-    let (a, b) = (locate(space, base, before).0?, locate(space, base, after).0?);
+    Some(velocity_between(&locate(space, base, before).0?, &locate(space, base, after).0?))
+}
+
+/// From where something was [`VELOCITY_STEP`] before to where it is as long after.
+pub(crate) fn velocity_between(a: &Rigid, b: &Rigid) -> (Vector3<f64>, Vector3<f64>) {
     let seconds = 2.0 * VELOCITY_STEP.as_secs_f64();
     let linear = (b.translation.vector - a.translation.vector) / seconds;
     let angular = (b.rotation * a.rotation.inverse()).scaled_axis() / seconds;
-    Some((linear, angular))
+    (linear, angular)
 }
 
 fn check_session(space: &Space, base: &Space) -> XrResult<()> {
@@ -216,7 +227,7 @@ pub(crate) fn destroy_space(space: sys::Space) -> XrResult {
     Ok(sys::Result::SUCCESS)
 }
 
-fn velocity_flags() -> sys::SpaceVelocityFlags {
+pub(crate) fn velocity_flags() -> sys::SpaceVelocityFlags {
     sys::SpaceVelocityFlags::LINEAR_VALID | sys::SpaceVelocityFlags::ANGULAR_VALID
 }
 
@@ -229,16 +240,24 @@ pub(crate) fn locate_space(
     check_session(space, base)?;
     let location = out.fill()?;
     let at = valid_time(time)?;
+    let sampled = chained_out::<sys::EyeGazeSampleTimeEXT>(location.next);
     if let Some(said) = space.said(base, at) {
         location.location_flags = sys::SpaceLocationFlags::from_raw(u64::from(said.validity.0));
         location.pose = bent_pose(from_raw(&said.pose));
         if let Some(out) = chained_out::<sys::SpaceVelocity>(location.next) {
             out.velocity_flags = sys::SpaceVelocityFlags::EMPTY;
         }
+        if let Some(out) = sampled {
+            out.time = time;
+        }
         return Ok(sys::Result::SUCCESS);
     }
     let (pose, flags) = locate(space, base, at);
     location.location_flags = flags;
+    if let Some(out) = sampled {
+        // The gaze is known for each instant.
+        out.time = if pose.is_some() { time } else { sys::Time::from_nanos(0) };
+    }
     location.pose = bent_pose(pose.map_or(sys::Posef::IDENTITY, |pose| to_xr(&pose)));
     if let Some(out) = chained_out::<sys::SpaceVelocity>(location.next) {
         let found = velocity(space, base, at);

@@ -2,7 +2,7 @@
 
 use openxr_sys as sys;
 
-use crate::ffi::{Buffer, In, Out, XrResult, text_field};
+use crate::ffi::{Buffer, In, Out, XrResult, chained_out, text_field};
 use crate::headset::MAX_IMAGE_SIDE;
 use crate::instance::Instance;
 
@@ -64,6 +64,12 @@ pub(crate) fn get_system_properties(
     };
     properties.tracking_properties =
         sys::SystemTrackingProperties { orientation_tracking: sys::TRUE, position_tracking: sys::TRUE };
+    if let Some(hands) = chained_out::<sys::SystemHandTrackingPropertiesEXT>(properties.next) {
+        hands.supports_hand_tracking = instance.sees_hands().into();
+    }
+    if let Some(gaze) = chained_out::<sys::SystemEyeGazeInteractionPropertiesEXT>(properties.next) {
+        gaze.supports_eye_gaze_interaction = instance.sees_gaze().into();
+    }
     Ok(sys::Result::SUCCESS)
 }
 

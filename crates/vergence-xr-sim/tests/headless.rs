@@ -156,7 +156,7 @@ fn versions_layers_and_extensions_are_negotiated() {
         assert_eq!(made.err(), expected, "{major}.{minor}");
     }
     let mut unknown = xr::ExtensionSet::default();
-    unknown.ext_hand_tracking = true;
+    unknown.ext_plane_detection = true;
     let made = instance_with(Config::default(), V1_0, &unknown);
     assert_eq!(made.err(), Some(sys::Result::ERROR_EXTENSION_NOT_PRESENT));
     let offered = entry().enumerate_extensions().unwrap();

@@ -134,6 +134,28 @@ impl Connection {
         self.extensions.iter().any(|name| name == extension)
     }
 
+    /// Whether the headset sees where its user looks, and the runtime says so.
+    pub(crate) fn sees_gaze(&self) -> bool {
+        if !self.has("XR_EXT_eye_gaze_interaction") {
+            return false;
+        }
+        let mut gaze = sys::SystemEyeGazeInteractionPropertiesEXT {
+            ty: sys::SystemEyeGazeInteractionPropertiesEXT::TYPE,
+            next: std::ptr::null_mut(),
+            supports_eye_gaze_interaction: sys::FALSE,
+        };
+        let mut properties = sys::SystemProperties::out((&raw mut gaze).cast());
+        // SAFETY: instance and system belong together; both structures say what they are and live through the call.
+        let result = unsafe {
+            (self.instance.fp().get_system_properties)(
+                self.instance.as_raw(),
+                self.system,
+                properties.as_mut_ptr(),
+            )
+        };
+        result == sys::Result::SUCCESS && gaze.supports_eye_gaze_interaction != sys::FALSE
+    }
+
     /// The runtime's clock, where it can be read.
     pub(crate) fn now(&self) -> Option<Result<vergence_time::Timestamp, openxr::sys::Result>> {
         if !self.has("XR_KHR_convert_timespec_time") {

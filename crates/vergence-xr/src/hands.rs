@@ -7,7 +7,7 @@ use vergence_time::Timestamp;
 
 use crate::Connection;
 use crate::convert;
-use crate::error::{Error, In};
+use crate::error::Error;
 use crate::tap::{Call, Ear, raw_location};
 
 /// Trackers of both hands.
@@ -28,9 +28,20 @@ impl Hands {
             log::info!("the headset does not see hands");
             return Ok(None);
         }
-        let tracker = |hand| session.create_hand_tracker(hand).during("xrCreateHandTrackerEXT");
-        let trackers = [tracker(openxr::Hand::LEFT)?, tracker(openxr::Hand::RIGHT)?];
-        Ok(Some(Self { trackers, joints: [None; 2] }))
+        let tracker = |hand| session.create_hand_tracker(hand);
+        let trackers = tracker(openxr::Hand::LEFT).and_then(|left| Ok([left, tracker(openxr::Hand::RIGHT)?]));
+        match trackers {
+            Ok(trackers) => Ok(Some(Self { trackers, joints: [None; 2] })),
+            // It offers what it does not do: a session without hands is one.
+            Err(
+                result @ (openxr::sys::Result::ERROR_FEATURE_UNSUPPORTED
+                | openxr::sys::Result::ERROR_FUNCTION_UNSUPPORTED),
+            ) => {
+                log::info!("the headset does not see hands: {result}");
+                Ok(None)
+            }
+            Err(result) => Err(Error::of("xrCreateHandTrackerEXT", result)),
+        }
     }
 
     pub(crate) fn locate(

@@ -68,7 +68,7 @@ impl Input {
         set: &ActionSet,
         eye_gaze: bool,
     ) -> Result<Option<Self>, Error> {
-        let eye_gaze = eye_gaze && connection.has("XR_EXT_eye_gaze_interaction");
+        let eye_gaze = eye_gaze && connection.sees_gaze();
         if set.actions.is_empty() && !eye_gaze {
             return Ok(None);
         }

@@ -67,7 +67,11 @@ impl BadValue {
             Self::NanPose | Self::ZeroQuaternion => {
                 matches!(
                     entry_point,
-                    "xrLocateViews" | "xrLocateSpace" | "xrLocateSpaces" | "xrLocateSpacesKHR"
+                    "xrLocateViews"
+                        | "xrLocateSpace"
+                        | "xrLocateSpaces"
+                        | "xrLocateSpacesKHR"
+                        | "xrLocateHandJointsEXT"
                 )
             }
             Self::FovZero | Self::Fov180 => entry_point == "xrLocateViews",

@@ -746,6 +746,35 @@ pub(crate) const RESULTS: &[(&str, &[R])] = &[
         ],
     ),
     (
+        "xrCreateHandTrackerEXT",
+        &[
+            R::SESSION_LOSS_PENDING,
+            R::ERROR_FUNCTION_UNSUPPORTED,
+            R::ERROR_VALIDATION_FAILURE,
+            R::ERROR_RUNTIME_FAILURE,
+            R::ERROR_HANDLE_INVALID,
+            R::ERROR_INSTANCE_LOST,
+            R::ERROR_SESSION_LOST,
+            R::ERROR_OUT_OF_MEMORY,
+            R::ERROR_LIMIT_REACHED,
+            R::ERROR_FEATURE_UNSUPPORTED,
+        ],
+    ),
+    ("xrDestroyHandTrackerEXT", &[R::ERROR_FUNCTION_UNSUPPORTED, R::ERROR_HANDLE_INVALID]),
+    (
+        "xrLocateHandJointsEXT",
+        &[
+            R::SESSION_LOSS_PENDING,
+            R::ERROR_FUNCTION_UNSUPPORTED,
+            R::ERROR_VALIDATION_FAILURE,
+            R::ERROR_RUNTIME_FAILURE,
+            R::ERROR_HANDLE_INVALID,
+            R::ERROR_INSTANCE_LOST,
+            R::ERROR_SESSION_LOST,
+            R::ERROR_TIME_INVALID,
+        ],
+    ),
+    (
         "xrEnumerateDisplayRefreshRatesFB",
         &[
             R::SESSION_LOSS_PENDING,

@@ -1,6 +1,7 @@
 //! What moves the simulated headset: pose providers, pure functions of time.
 
 mod file;
+mod hand;
 mod replay;
 mod script;
 mod still;
@@ -16,6 +17,7 @@ use vergence_time::Timestamp;
 use crate::Error;
 
 pub use file::{BUILT_IN_MOTIONS, Motion};
+pub use hand::{BONES_MM, HandPose};
 pub use replay::{EXIT_REQUESTED, RUN_ENDED, Replay, SESSION_BEGINS};
 pub(crate) use replay::{Next, result_of};
 pub use script::{Part, Script};
@@ -113,8 +115,8 @@ impl Tracked {
 pub struct Controller {
     /// Switched on and connected; otherwise its actions are inactive.
     pub connected: bool,
-    /// The grip: palm centre, +x out of the back of the left hand or the palm of the right one, −z along the
-    /// closed fingers' tube (the "grip" pose of OpenXR).
+    /// The grip: palm centre, +x out of the palm of the left hand and into that of the right one, −z along the closed
+    /// fingers' tube to the thumb (the "grip" pose of OpenXR).
     pub grip: Tracked,
     /// The aim: −z points (the "aim" pose of OpenXR).
     pub aim: Tracked,
@@ -171,6 +173,16 @@ pub trait PoseProvider: Send + Sync {
     /// What a hand holds.
     fn controller(&self, hand: Hand, at: Timestamp) -> Controller;
 
+    /// The joints of a hand, where it is seen; unless said otherwise it closes around what it holds.
+    fn hand(&self, hand: Hand, at: Timestamp) -> Option<HandPose> {
+        HandPose::holding(&self.controller(hand, at), hand)
+    }
+
+    /// Where the user looks: from between the eyes along −z, in stage coordinates; unless said otherwise straight ahead.
+    fn gaze(&self, at: Timestamp) -> Tracked {
+        self.head(at)
+    }
+
     /// How far the user attends to the application.
     fn presence(&self, _at: Timestamp) -> Presence {
         Presence::Focused
@@ -205,6 +217,14 @@ impl<T: PoseProvider + ?Sized> PoseProvider for std::sync::Arc<T> {
 
     fn controller(&self, hand: Hand, at: Timestamp) -> Controller {
         (**self).controller(hand, at)
+    }
+
+    fn hand(&self, hand: Hand, at: Timestamp) -> Option<HandPose> {
+        (**self).hand(hand, at)
+    }
+
+    fn gaze(&self, at: Timestamp) -> Tracked {
+        (**self).gaze(at)
     }
 
     fn presence(&self, at: Timestamp) -> Presence {

@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 
 use openxr_sys as sys;
 use vergence_geom::Rigid;
-use vergence_sense::{Body, CallResult, ControlState, Event, Hand, RawLocation, RawViews, Said, Tracking};
+use vergence_sense::{
+    Body, CallResult, ControlState, Event, Hand, RawJoints, RawLocation, RawViews, Said, Tracking,
+};
 use vergence_time::{Span, Timestamp};
 
 use super::{Controller, PoseProvider, Tracked, held_in_front};
@@ -258,6 +260,14 @@ impl Replay {
         })
     }
 
+    /// The joints of a hand at the instant `at`.
+    pub(crate) fn joints(&self, of: Hand, at: Timestamp) -> Option<RawJoints> {
+        self.lock().answer(|said| match said {
+            Said::Joints { hand, at: when, joints } if *hand == of && *when == at => Some(*joints),
+            _ => None,
+        })
+    }
+
     /// What a control read in this frame.
     pub(crate) fn control(&self, name: &str, of: Hand) -> Option<ControlState> {
         let inner = &mut *self.lock();
@@ -269,10 +279,8 @@ impl Replay {
     }
 
     /// Whether a pose action was located in this frame, be it that this failed.
-    pub(crate) fn locates(&self, name: &str, hand: Hand) -> bool {
+    pub(crate) fn locates(&self, wanted: Body) -> bool {
         let inner = self.lock();
-        let Some(place) = inner.action(name) else { return false };
-        let wanted = Body::Action(place, hand);
         let located = |said: &Said| matches!(said, Said::Place { of, .. } if *of == wanted);
         // What was asked next, if that failed, was where something is.
         let next = inner.current.left().map(|(_, said)| said).find(|said| {
