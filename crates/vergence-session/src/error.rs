@@ -54,7 +54,6 @@ impl Error {
                 | Self::Simulated(
                     vergence_xr_sim::Error::Config(_)
                         | vergence_xr_sim::Error::Unknown { .. }
-                        | vergence_xr_sim::Error::Value { .. }
                         | vergence_xr_sim::Error::Trajectory { .. }
                 )
                 | Self::Window(_)
