@@ -14,7 +14,7 @@ pub struct Target {
     pub depth_format: vk::Format,
     /// Width and height of each view, pixels.
     pub size: (u32, u32),
-    /// Number of views, 1…[`MAX_VIEWS`]: layers of the images.
+    /// Number of views, 1…[`MAX_VIEWS`](crate::MAX_VIEWS): layers of the images.
     pub views: u32,
 }
 

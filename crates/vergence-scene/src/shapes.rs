@@ -62,7 +62,7 @@ fn add_quad(
 }
 
 /// What `profile` (distance from the axis and height, metres; from bottom to top on the outside) sweeps about the y
-/// axis. Edges sharper than [`surface::Smoothing::ByAngle`] allows stay edges.
+/// axis. Edges sharper than the angle at which shading is smoothed stay edges.
 pub fn lathe(profile: &[[f32; 2]], segments: u32) -> Primitive {
     let mut primitive = Primitive::default();
     // The point that a vertex stands on: the seam's two ends are one, as is each end on the axis.

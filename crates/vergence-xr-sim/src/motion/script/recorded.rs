@@ -10,7 +10,7 @@ use crate::motion::{AtEnd, HandPose};
 
 impl Script {
     /// What the user of a recorded session did, to be done again in any other: `frames` as for
-    /// [`Replay`](super::Replay), and for each action, by its place, the control that it was read from.
+    /// [`Replay`](crate::motion::Replay), and for each action, by its place, the control that it was read from.
     ///
     /// What stays the same takes no memory; each pose that moves takes 100 bytes per frame. A head and two controllers that
     /// all move take 160 MB for an hour at 90 Hz; the joints of two hands, where they were recorded, 1.1 GB.
