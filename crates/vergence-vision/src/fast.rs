@@ -21,6 +21,8 @@ pub struct FastDetector {
     scores: [Vec<u8>; 3],
     /// Columns of the corners of each of the three rows.
     columns: [Vec<u32>; 3],
+    /// Where a row may have corners; whole words of eight.
+    maybe: Vec<u8>,
 }
 
 /// The circle, clockwise from the top.
@@ -42,9 +44,8 @@ const CIRCLE: [(isize, isize); 16] = [
     (-2, -2),
     (-1, -3),
 ];
-const ARC: u8 = 9;
 const RADIUS: usize = 3;
-/// Pixels that are looked at together.
+/// Pixels that are scored together.
 const LANES: usize = 32;
 
 impl FastDetector {
@@ -60,6 +61,8 @@ impl FastDetector {
             scores.resize(width + 2, 0);
         }
         self.columns.iter_mut().for_each(Vec::clear);
+        self.maybe.clear();
+        self.maybe.resize(width.next_multiple_of(8), 0);
         for y in RADIUS..=height - RADIUS {
             let now = y % 3;
             for &x in &self.columns[now] {
@@ -72,6 +75,7 @@ impl FastDetector {
                     threshold,
                     scores: &mut self.scores[now],
                     columns: &mut self.columns[now],
+                    maybe: &mut self.maybe,
                 });
             }
             let (above, middle) = ((y + 1) % 3, (y + 2) % 3);
@@ -97,80 +101,68 @@ struct Row<'a> {
     threshold: u8,
     scores: &'a mut [u8],
     columns: &'a mut Vec<u32>,
-}
-
-type Lanes = [u8; LANES];
-
-#[inline(always)]
-fn each(f: impl Fn(usize) -> u8) -> Lanes {
-    std::array::from_fn(f)
+    maybe: &'a mut [u8],
 }
 
 impl Row<'_> {
-    /// The pixels of the circle's position `k` around the `LANES` centres from column `x` on.
+    /// Marks the columns that an arc of nine is possible in: it meets every pair of opposite pixels.
     #[inline(always)]
-    fn ring(&self, k: usize, x: usize) -> &Lanes {
-        let (dx, dy) = CIRCLE[k];
-        let row = self.rows[(dy + RADIUS as isize) as usize];
-        let start = (x as isize + dx) as usize;
-        row[start..start + LANES].try_into().expect("as many pixels as lanes")
+    fn mark(&mut self) {
+        let count = self.rows[0].len() - 2 * RADIUS;
+        let ring: [&[u8]; 16] = std::array::from_fn(|k| {
+            let (dx, dy) = CIRCLE[k];
+            let start = (RADIUS as isize + dx) as usize;
+            &self.rows[(dy + RADIUS as isize) as usize][start..start + count]
+        });
+        let centre = &self.rows[RADIUS][RADIUS..RADIUS + count];
+        let maybe = &mut self.maybe[..count];
+        for i in 0..count {
+            let (mut least, mut most) = (255u8, 0u8);
+            for k in 0..8 {
+                let (a, b) = (ring[k][i], ring[k + 8][i]);
+                least = least.min(a.max(b));
+                most = most.max(a.min(b));
+            }
+            let out = least.saturating_sub(centre[i]).max(centre[i].saturating_sub(most));
+            maybe[i] = u8::from(out > self.threshold);
+        }
     }
 
-    /// Which of the `LANES` pixels from column `x` on are corners: 255, else 0.
+    /// How far the best arc of nine stands out, less 1: the largest threshold at which the pixel still is a corner. For up to `LANES`
+    /// columns at once.
     #[inline(always)]
-    fn flag(&self, x: usize) -> Lanes {
-        let centre: &Lanes = self.rows[RADIUS][x..x + LANES].try_into().expect("as many pixels as lanes");
-        let threshold = self.threshold;
-        let high = each(|i| centre[i].saturating_add(threshold));
-        let low = each(|i| centre[i].saturating_sub(threshold));
-        let out = |value: bool| if value { 255u8 } else { 0 };
-        // An arc of nine meets every pair of opposite pixels.
-        let mut bright = [255u8; LANES];
-        let mut dark = [255u8; LANES];
-        for k in [0, 4, 2, 6] {
-            let (a, b) = (self.ring(k, x), self.ring(k + 8, x));
-            bright = each(|i| bright[i] & (out(a[i] > high[i]) | out(b[i] > high[i])));
-            dark = each(|i| dark[i] & (out(a[i] < low[i]) | out(b[i] < low[i])));
-            if k == 4 || k == 6 {
-                let any = (0..LANES).fold(0, |any, i| any | bright[i] | dark[i]);
-                if any == 0 {
-                    return [0; LANES];
-                }
+    fn score(&self, columns: &[u32]) -> [u8; LANES] {
+        let mut ring = [[0u8; LANES]; 16];
+        let mut centre = [0u8; LANES];
+        for (i, &x) in columns.iter().enumerate() {
+            let x = x as usize;
+            centre[i] = self.rows[RADIUS][x];
+            let near: [&[u8; 2 * RADIUS + 1]; 7] = std::array::from_fn(|y| {
+                self.rows[y][x - RADIUS..=x + RADIUS].try_into().expect("seven pixels")
+            });
+            for (ring, (dx, dy)) in ring.iter_mut().zip(CIRCLE) {
+                ring[i] = near[(dy + RADIUS as isize) as usize][(dx + RADIUS as isize) as usize];
             }
         }
-        let mut longest = [0u8; LANES];
-        let (mut bright, mut dark) = ([0u8; LANES], [0u8; LANES]);
-        for k in 0..16 + ARC as usize - 1 {
-            let pixel = self.ring(k % 16, x);
-            bright = each(|i| (bright[i].wrapping_add(1)) & out(pixel[i] > high[i]));
-            dark = each(|i| (dark[i].wrapping_add(1)) & out(pixel[i] < low[i]));
-            longest = each(|i| longest[i].max(bright[i]).max(dark[i]));
+        let mut scores = [0; LANES];
+        for i in 0..LANES {
+            let at = |k: usize| ring[k % 16][i];
+            // Least and greatest of 2, 4, 8 and 9 neighbours, for all places on the circle at once.
+            let arcs = |pick: fn(u8, u8) -> u8| -> [u8; 16] {
+                let two: [u8; 16] = std::array::from_fn(|k| pick(at(k), at(k + 1)));
+                let four: [u8; 16] = std::array::from_fn(|k| pick(two[k], two[(k + 2) % 16]));
+                let eight: [u8; 16] = std::array::from_fn(|k| pick(four[k], four[(k + 4) % 16]));
+                std::array::from_fn(|k| pick(eight[k], at(k + 8)))
+            };
+            let (mut brightest, mut darkest) = (0, 255);
+            for (low, high) in arcs(Ord::min).into_iter().zip(arcs(Ord::max)) {
+                brightest = brightest.max(low);
+                darkest = darkest.min(high);
+            }
+            let out = brightest.saturating_sub(centre[i]).max(centre[i].saturating_sub(darkest));
+            scores[i] = out.saturating_sub(1);
         }
-        each(|i| out(longest[i] >= ARC))
-    }
-
-    /// The largest threshold at which the pixel at column `x` still is a corner; −1 where it never is.
-    #[inline(always)]
-    fn score(&self, x: usize) -> i16 {
-        let centre = i16::from(self.rows[RADIUS][x]);
-        let mut difference = [0i16; 32];
-        for (k, (dx, dy)) in CIRCLE.iter().enumerate() {
-            let row = self.rows[(dy + RADIUS as isize) as usize];
-            let d = i16::from(row[(x as isize + dx) as usize]) - centre;
-            difference[k] = d;
-            difference[k + 16] = d;
-        }
-        // Least and greatest of 2, 4, 8 and 9 neighbours, for all places on the circle at once.
-        let arcs = |pick: fn(i16, i16) -> i16| -> [i16; 16] {
-            let d = &difference;
-            let two: [i16; 30] = std::array::from_fn(|k| pick(d[k], d[k + 1]));
-            let four: [i16; 28] = std::array::from_fn(|k| pick(two[k], two[k + 2]));
-            let eight: [i16; 24] = std::array::from_fn(|k| pick(four[k], four[k + 4]));
-            std::array::from_fn(|k| pick(eight[k], d[k + 8]))
-        };
-        let brighter = arcs(Ord::min).into_iter().max().unwrap_or(0);
-        let darker = -arcs(Ord::max).into_iter().min().unwrap_or(0);
-        brighter.max(darker) - 1
+        scores
     }
 }
 
@@ -178,38 +170,39 @@ impl Task for Row<'_> {
     type Out = ();
 
     #[inline(always)]
-    fn run(self) {
-        let width = self.rows[0].len();
-        let end = width - RADIUS;
-        let mut x = RADIUS;
-        while x < end {
-            // The last lanes of a row are looked at together with some that came before; a narrow part goes one by one.
-            let mut flags = [0u8; LANES];
-            let from = if x + LANES <= end {
-                flags = self.flag(x);
-                x
-            } else if end >= RADIUS + LANES {
-                let from = end - LANES;
-                flags = self.flag(from);
-                flags[..x - from].fill(0);
-                from
-            } else {
-                for (i, flag) in flags.iter_mut().enumerate().take(end - x) {
-                    *flag = if self.score(x + i) >= i16::from(self.threshold) { 255 } else { 0 };
-                }
-                x
-            };
-            for (word, eight) in flags.chunks_exact(8).enumerate() {
-                let mut bits = u64::from_le_bytes(eight.try_into().expect("eight bytes"));
-                while bits != 0 {
-                    let i = bits.trailing_zeros() as usize / 8;
-                    bits &= !(0xff << (8 * i));
-                    let column = from + 8 * word + i;
-                    self.scores[column + 1] = self.score(column).clamp(0, 255) as u8;
-                    self.columns.push(column as u32);
+    fn run(mut self) {
+        self.mark();
+        let count = self.rows[0].len() - 2 * RADIUS;
+        let (mut waiting, mut columns) = (0, [0u32; LANES]);
+        let maybe = std::mem::take(&mut self.maybe);
+        for (word, eight) in maybe[..count.next_multiple_of(8)].chunks_exact(8).enumerate() {
+            let mut bits = u64::from_le_bytes(eight.try_into().expect("eight bytes"));
+            while bits != 0 {
+                columns[waiting] = (RADIUS + 8 * word) as u32 + bits.trailing_zeros() / 8;
+                waiting += 1;
+                bits &= bits - 1;
+                if waiting == LANES {
+                    self.keep(&columns);
+                    waiting = 0;
                 }
             }
-            x = from + LANES;
+        }
+        self.keep(&columns[..waiting]);
+    }
+}
+
+impl Row<'_> {
+    #[inline(always)]
+    fn keep(&mut self, columns: &[u32]) {
+        if columns.is_empty() {
+            return;
+        }
+        let scores = self.score(columns);
+        for (&column, score) in columns.iter().zip(scores) {
+            if score >= self.threshold && score > 0 {
+                self.scores[column as usize + 1] = score;
+                self.columns.push(column);
+            }
         }
     }
 }

@@ -1,18 +1,22 @@
 #![doc = include_str!("../README.md")]
 
 mod anchor;
+mod brief;
 mod error;
 mod fast;
 mod flow;
+mod orb;
 mod picture;
 mod pyramid;
 mod simd;
 mod stereo;
 mod tracker;
 
+pub use brief::{Descriptor, Match, MatchKnobs, match_all};
 pub use error::Error;
 pub use fast::{Corner, FastDetector};
 pub use flow::{Flow, FlowKnobs, Found};
+pub use orb::{Keypoint, Orb, OrbKnobs};
 pub use picture::Gray;
 pub use pyramid::{Level, Pyramid};
 pub use stereo::epipolar_angle;

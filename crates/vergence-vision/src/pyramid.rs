@@ -22,7 +22,7 @@ impl Level {
     /// How far the edge pixels are repeated.
     pub const BORDER: usize = 32;
 
-    fn new(width: usize, height: usize) -> Self {
+    pub(crate) fn new(width: usize, height: usize) -> Self {
         let stride = (width + 2 * Self::BORDER).next_multiple_of(32);
         Self { width, height, stride, pixels: vec![0; stride * (height + 2 * Self::BORDER)] }
     }
@@ -69,12 +69,20 @@ impl Level {
         Gray::new(self.width, self.height, self.stride, pixels).expect("a level holds all of its rows")
     }
 
-    fn row_mut(&mut self, y: usize) -> &mut [u8] {
+    pub(crate) fn row_mut(&mut self, y: usize) -> &mut [u8] {
         let start = self.origin() + y * self.stride;
         &mut self.pixels[start..start + self.width]
     }
 
-    fn repeat_edges(&mut self) {
+    /// Takes the pixels of a picture of the same size, and leaves the border.
+    pub(crate) fn copy(&mut self, picture: &Gray) {
+        for y in 0..self.height {
+            self.row_mut(y).copy_from_slice(picture.row(y));
+        }
+    }
+
+    /// Fills the border.
+    pub(crate) fn repeat_edges(&mut self) {
         let (border, stride, width) = (Self::BORDER, self.stride, self.width);
         for y in 0..self.height {
             let row = &mut self.pixels[(y + border) * stride..][..stride];
@@ -111,9 +119,7 @@ impl Pyramid {
     pub fn build(&mut self, picture: &Gray) {
         let first = &mut self.levels[0];
         assert_eq!((picture.width(), picture.height()), (first.width, first.height), "size of the picture");
-        for y in 0..picture.height() {
-            first.row_mut(y).copy_from_slice(picture.row(y));
-        }
+        first.copy(picture);
         first.repeat_edges();
         for n in 1..self.levels.len() {
             let (above, below) = self.levels.split_at_mut(n);
