@@ -9,7 +9,7 @@ use crate::measure::ends::{End, Ends, Sequence, end_of};
 use crate::measure::fitts::difficulty;
 use crate::measure::outlier::left_out;
 use crate::measure::path::of_path;
-use crate::tradeoff::{self, CafBin, ErrorModel, Stability};
+use crate::tradeoff::{self, CafBin, ErrorModel, Stability, Who};
 use crate::trial::{DataSet, PathMeasures, Trial};
 
 /// What names a sequence.
@@ -90,6 +90,8 @@ pub struct Analysis {
     pub fits: Vec<(String, String, Fit)>,
     /// Means by instruction.
     pub stability: Option<Stability>,
+    /// The law of speed against accuracy; none where accuracy does not rise with time.
+    pub who: Option<Who>,
     /// Predicted and observed errors.
     pub error_model: Option<ErrorModel>,
     /// Conditional accuracy by instruction (or of all, under an empty name); none where trials were streamed.
@@ -168,6 +170,11 @@ pub fn key_of(trial: &Trial) -> Key {
 
 /// Computes every trial: ends (in serial tasks each with the one before it), paths, outliers. In the order of the set.
 pub fn analyse_trials<'a>(data: &'a DataSet, conventions: &Conventions) -> Vec<Analysed<'a>> {
+    trials_with(data, conventions, true)
+}
+
+/// As [`analyse_trials`]; paths, which cost most, only where they are wanted.
+fn trials_with<'a>(data: &'a DataSet, conventions: &Conventions, paths: bool) -> Vec<Analysed<'a>> {
     let mut groups: BTreeMap<Key, Vec<usize>> = BTreeMap::new();
     for (i, trial) in data.trials.iter().enumerate() {
         groups.entry(key_of(trial)).or_default().push(i);
@@ -175,7 +182,10 @@ pub fn analyse_trials<'a>(data: &'a DataSet, conventions: &Conventions) -> Vec<A
     let mut analysed: Vec<Analysed<'a>> = data
         .trials
         .iter()
-        .map(|trial| Analysed { trial, end: None, path: of_path(trial, conventions), outlier: false })
+        .map(|trial| {
+            let path = if paths { of_path(trial, conventions) } else { None };
+            Analysed { trial, end: None, path, outlier: false }
+        })
         .collect();
     for members in groups.values() {
         let mut before = 0.0;
@@ -196,7 +206,12 @@ pub fn analyse_trials<'a>(data: &'a DataSet, conventions: &Conventions) -> Vec<A
 
 /// Rows and summary of trials in memory.
 pub fn analyse(data: &DataSet, conventions: &Conventions) -> Analysis {
-    let analysed = analyse_trials(data, conventions);
+    analyse_with(data, conventions, true)
+}
+
+/// As [`analyse`]; paths only where they are wanted.
+pub(crate) fn analyse_with(data: &DataSet, conventions: &Conventions, paths: bool) -> Analysis {
+    let analysed = trials_with(data, conventions, paths);
     let mut groups: BTreeMap<Key, (Row, Sequence, [Moments; 9])> = BTreeMap::new();
     for one in &analysed {
         let trial = one.trial;
@@ -301,6 +316,7 @@ pub fn summarised(
         fit_xy: fit_of(&rows, |row| row.ends.xy.ide),
         fits,
         stability: tradeoff::stability(&rows),
+        who: tradeoff::who_of(&rows, conventions),
         error_model: fit
             .filter(|_| conventions.difficulty == Difficulty::Shannon)
             .map(|fit| tradeoff::error_model(&rows, fit.a, fit.b)),

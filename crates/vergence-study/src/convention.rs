@@ -126,6 +126,18 @@ named! {
     }
 }
 
+named! {
+    /// Which points of a cloud of speeds and accuracies are its front.
+    Front "front" {
+        /// The lower left convex hull, from the fastest point to the most accurate one.
+        Convex = "convex",
+        /// The points that none is both faster and more accurate than.
+        Pareto = "pareto",
+        /// All.
+        All = "all",
+    }
+}
+
 /// All knobs. The default is ours: √(2πe), nominal axis, nothing left out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Conventions {
@@ -151,6 +163,13 @@ pub struct Conventions {
     pub turn_jump: f64,
     /// Sequences with fewer trials are not analysed.
     pub least_trials: usize,
+    /// Asymptote of the movement time in the weighted homographic law, seconds: what no haste gets below. Larger: smaller
+    /// weights of time.
+    pub who_x0_s: f64,
+    /// Asymptote of the relative spread in that law: what no care gets below. Points below it are not fitted.
+    pub who_y0: f64,
+    /// Which sequences that law is fitted to.
+    pub who_front: Front,
 }
 
 impl Default for Conventions {
@@ -167,6 +186,9 @@ impl Default for Conventions {
             crossing_band: 0.0,
             turn_jump: 0.0,
             least_trials: 2,
+            who_x0_s: 0.0,
+            who_y0: 0.0,
+            who_front: Front::Convex,
         }
     }
 }
@@ -220,6 +242,9 @@ impl Conventions {
             "crossing_band" => self.crossing_band = number(0.0)?,
             "turn_jump" => self.turn_jump = number(0.0)?,
             "least_trials" => self.least_trials = number(1.0)? as usize,
+            "who_x0_s" => self.who_x0_s = number(0.0)?,
+            "who_y0" => self.who_y0 = number(0.0)?,
+            "who_front" => self.who_front = value.parse()?,
             _ => {
                 return Err(Error::Knob {
                     what: "convention",
@@ -250,6 +275,9 @@ impl Conventions {
             ("crossing_band", self.crossing_band.to_string()),
             ("turn_jump", self.turn_jump.to_string()),
             ("least_trials", self.least_trials.to_string()),
+            ("who_x0_s", self.who_x0_s.to_string()),
+            ("who_y0", self.who_y0.to_string()),
+            ("who_front", self.who_front.to_string()),
         ]
     }
 }

@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use serde_json::{Map, Value, json};
 
+use crate::alternatives::Alternative;
 use crate::analysis::{Analysed, Analysis, Fit, Row};
-use crate::tradeoff::Who;
 use crate::trial::PathMeasures;
 
 fn quoted(text: &str) -> String {
@@ -128,7 +128,7 @@ fn fit(fit: &Fit) -> Value {
 }
 
 /// Everything as one object: `conditions` (as the table has them) and `summary`.
-pub fn summary_json(analysis: &Analysis, who: Option<&Who>) -> Value {
+pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value {
     let row = |row: &Row| {
         let mut object = Map::new();
         object.insert("participant".into(), json!(row.key.participant));
@@ -162,7 +162,10 @@ pub fn summary_json(analysis: &Analysis, who: Option<&Who>) -> Value {
         let bins = bins.iter().map(|bin| json!({"mt_s": bin.mt_s, "error_rate": bin.error_rate, "n": bin.n}));
         json!({"instruction": name, "bins": bins.collect::<Vec<_>>()})
     });
-    let who = who.map(|who| {
+    let alternatives = alternatives.iter().map(|one| {
+        json!({"knob": one.knob, "value": one.value, "tp_mean_of_means": one.tp, "tp_xy_mean_of_means": one.tp_xy, "left_out": one.left_out})
+    });
+    let who = analysis.who.as_ref().map(|who| {
         json!({"alpha": who.alpha, "k": who.k, "x0_s": who.x0_s, "y0": who.y0, "front": who.front.name(), "points": who.points[0], "front_points": who.points[1], "fitted_points": who.points[2], "r2": who.r2})
     });
     let model = analysis.error_model.as_ref().map(|model| json!({"m": model.m, "b": model.b, "r": model.r}));
@@ -192,6 +195,7 @@ pub fn summary_json(analysis: &Analysis, who: Option<&Who>) -> Value {
             "exclusions": analysis.exclusions.iter().map(|(what, n)| json!({"what": what, "n": n})).collect::<Vec<_>>(),
             "instructions": stability,
             "who": who,
+            "alternatives": alternatives.collect::<Vec<_>>(),
             "conditional_accuracy": accuracy.collect::<Vec<_>>(),
             "error_model": model,
             "fits": fits.collect::<Vec<_>>(),

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod alternatives;
 mod analysis;
 mod convention;
 mod design;
@@ -13,19 +14,20 @@ mod task;
 mod tradeoff;
 mod trial;
 
+pub use alternatives::{Alternative, alternatives};
 pub use analysis::{Analysed, Analysis, Fit, Key, Row, analyse, analyse_trials, key_of};
 pub use convention::{
-    Axis, Conventions, Difficulty, Frame, MeanTime, Outliers, PathRule, Reach, SQRT_2_PI_E,
+    Axis, Conventions, Difficulty, Frame, Front, MeanTime, Outliers, PathRule, Reach, SQRT_2_PI_E,
 };
 pub use design::{Order, permutations, shuffled, williams};
 pub use export::{conditions_csv, summary_json, trials_csv};
 pub use import::{Column, ColumnMap, Imported, Maps, Scaled, Streamed, Tool, import, stream, together};
-pub use report::{Who as WhoKnobs, page};
+pub use report::page;
 pub use study_file::{Instruction, Plan, PlannedBlock, PlannedTrial, Size, Study, TEMPLATE, Trigger};
 pub use task::{Geometry, Plane, Target, layout, real_amplitude};
 pub use tradeoff::{
-    CafBin, ErrorModel, Front, Level, Stability, Who, conditional_accuracy, error_model, front_of, stability,
-    who,
+    CafBin, ErrorModel, Level, Stability, Who, conditional_accuracy, error_model, front_of,
+    speeds_and_spreads, stability, who, who_of,
 };
 pub use trial::{CursorSample, DataSet, PathMeasures, Point, Trial};
 

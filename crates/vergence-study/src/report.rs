@@ -5,43 +5,14 @@ use std::collections::BTreeMap;
 use vergence_report::{Axis as PlotAxis, Cell, Column, Page, Plot, Point, Series, Style, Table};
 
 use crate::Error;
+use crate::alternatives::Alternative;
 use crate::analysis::{Analysis, Row};
 use crate::convention::{Axis, Difficulty, Frame, MeanTime, Outliers, PathRule, Reach, SQRT_2_PI_E};
-use crate::tradeoff::{self, Front};
+use crate::tradeoff;
 use crate::trial::PathMeasures;
 
 /// Most rows that the page's table and plots show; the tables that `analyze` writes have all.
 const MOST_ROWS: usize = 2_000;
-
-/// Knobs of the weighted homographic fit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Who {
-    /// Asymptote of the movement time, seconds.
-    pub x0_s: f64,
-    /// Asymptote of the relative spread.
-    pub y0: f64,
-    /// Which points are fitted.
-    pub front: Front,
-}
-
-impl Default for Who {
-    fn default() -> Self {
-        Self { x0_s: 0.0, y0: 0.0, front: Front::Convex }
-    }
-}
-
-impl Who {
-    /// The fit to an analysis: x is each row's mean movement time, y its spread over its mean amplitude.
-    pub fn fit(&self, analysis: &Analysis) -> Option<tradeoff::Who> {
-        tradeoff::who(&points(analysis), self.x0_s, self.y0, self.front)
-    }
-}
-
-fn points(analysis: &Analysis) -> Vec<(f64, f64)> {
-    let point =
-        |row: &Row| Some((row.ends.mt_s?, row.ends.x.sd? / row.ends.x.amplitude.filter(|a| *a > 0.0)?));
-    analysis.rows.iter().filter_map(point).collect()
-}
 
 fn shown(value: Option<f64>, decimals: usize, unit: &str) -> String {
     value.map_or_else(|| "not available".to_owned(), |value| format!("{value:.decimals$}{unit}"))
@@ -51,12 +22,17 @@ fn number(value: Option<f64>) -> Cell {
     value.map_or(Cell::Empty, Cell::Number)
 }
 
-/// The page. `title` heads it, `who` says how the speed-accuracy law is fitted, `notes` (warnings of importers) are
-/// printed under the exclusions.
+/// The page. `title` heads it, `alternatives` (see [`crate::alternatives`]) become a table where there are any, `notes`
+/// (warnings of importers) are printed under the exclusions.
 ///
 /// # Errors
 /// Where a plot cannot be drawn.
-pub fn page(title: &str, analysis: &Analysis, who: Who, notes: &[String]) -> Result<Page, Error> {
+pub fn page(
+    title: &str,
+    analysis: &Analysis,
+    alternatives: &[Alternative],
+    notes: &[String],
+) -> Result<Page, Error> {
     let unit = analysis.length_unit.as_str();
     let mut page = Page::new(title).paragraph(&format!(
         "{} participant(s), {} trials in {} sequences (participant × session × block × condition). Throughput {} along the \
@@ -71,7 +47,7 @@ pub fn page(title: &str, analysis: &Analysis, who: Who, notes: &[String]) -> Res
     ));
     page = page.heading("Throughput").table(&throughput(analysis));
     page = fitts(page, analysis)?;
-    page = trade(page, analysis, who)?;
+    page = trade(page, analysis)?;
     page = errors(page, analysis)?;
     page = page.heading("Sequences");
     if analysis.rows.len() > MOST_ROWS {
@@ -97,7 +73,41 @@ pub fn page(title: &str, analysis: &Analysis, who: Who, notes: &[String]) -> Res
     for (name, value) in analysis.conventions.listed() {
         knobs.push(vec![Cell::Text(name.to_owned()), Cell::Text(value)], false);
     }
-    Ok(page.table(&knobs))
+    page = page.table(&knobs);
+    if alternatives.is_empty() {
+        return Ok(page);
+    }
+    page = page.heading("What each convention does").paragraph(
+        "The same trials with one convention changed at a time (the marked line: as above). Compare throughputs between papers only \
+         where their conventions are the same.",
+    );
+    let titles = [
+        ("convention", 0),
+        ("value", 0),
+        ("TP (bits/s)", 3),
+        ("change (%)", 2),
+        ("TP all dimensions", 3),
+        ("change all (%)", 2),
+        ("left out", 0),
+    ];
+    let mut table =
+        Table::new(titles.into_iter().map(|(title, decimals)| Column::new(title, decimals)).collect());
+    for one in alternatives {
+        let change = |value: Option<f64>, own: Option<f64>| {
+            number(value.zip(own).map(|(value, own)| 100.0 * (value / own - 1.0)))
+        };
+        let cells = vec![
+            Cell::Text(one.knob.to_owned()),
+            Cell::Text(one.value.clone()),
+            number(one.tp),
+            change(one.tp, analysis.tp_mean_of_means()),
+            number(one.tp_xy),
+            change(one.tp_xy, analysis.tp_xy_mean_of_means()),
+            Cell::Number(one.left_out as f64),
+        ];
+        table.push(cells, one.knob.is_empty());
+    }
+    Ok(page.table(&table))
 }
 
 /// Means over sequences, by instruction where there are several, else by participant.
@@ -204,7 +214,7 @@ fn fitts(page: Page, analysis: &Analysis) -> Result<Page, Error> {
     Ok(page.heading("Fitts' law").plot(&plot)?.paragraph(&text))
 }
 
-fn trade(page: Page, analysis: &Analysis, knobs: Who) -> Result<Page, Error> {
+fn trade(page: Page, analysis: &Analysis) -> Result<Page, Error> {
     let mut page = page.heading("Speed against accuracy");
     let mut plot = Plot::new(
         "What speed costs in accuracy",
@@ -218,10 +228,10 @@ fn trade(page: Page, analysis: &Analysis, knobs: Who) -> Result<Page, Error> {
         });
         plot = plot.with(Series::new(name, Style::FaintPoints, points.collect()));
     }
-    let cloud = points(analysis);
-    let text = match knobs.fit(analysis) {
+    let cloud = tradeoff::speeds_and_spreads(&analysis.rows);
+    let text = match analysis.who {
         Some(fit) => {
-            let front: Vec<(f64, f64)> = tradeoff::front_of(&cloud, knobs.front).into_iter().map(|i| cloud[i]).collect();
+            let front: Vec<(f64, f64)> = tradeoff::front_of(&cloud, fit.front).into_iter().map(|i| cloud[i]).collect();
             let (low, high) = front.iter().fold((f64::INFINITY, 0f64), |(low, high), (x, _)| (low.min(*x), high.max(*x)));
             let curve = (0..=40).map(|i| low * (high / low).powf(f64::from(i) / 40.0)).filter(|x| *x > fit.x0_s);
             let curve = curve.map(|x| Point::new(x, fit.y0 + (fit.k / (x - fit.x0_s).powf(fit.alpha)).powf(1.0 / (1.0 - fit.alpha))));
@@ -232,7 +242,7 @@ fn trade(page: Page, analysis: &Analysis, knobs: Who) -> Result<Page, Error> {
                 "Weighted homographic law (y − y0)^(1−α) (x − x0)^α = k (Guiard and Rioul 2015), x mean movement time, y \
                  relative spread, fitted by least squares of logarithms to the {} front ({} of {} sequences, {} beyond the \
                  asymptotes) with x0 = {} s and y0 = {}: α = {:.3}, k = {:.4}, R² = {}.",
-                knobs.front.name(), fit.points[1], fit.points[0], fit.points[2], fit.x0_s, fit.y0, fit.alpha, fit.k,
+                fit.front.name(), fit.points[1], fit.points[0], fit.points[2], fit.x0_s, fit.y0, fit.alpha, fit.k,
                 shown(fit.r2, 3, "")
             )
         }
@@ -422,6 +432,7 @@ fn methods(analysis: &Analysis) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::alternatives::alternatives;
     use crate::analysis::analyse;
     use crate::import::{ColumnMap, Tool, import};
 
@@ -442,7 +453,10 @@ mod tests {
         }
         let found = import(Tool::Csv, "t", &text, &ColumnMap::default()).unwrap();
         let analysis = analyse(&found.data, &found.conventions);
-        let html = page("Test <1>", &analysis, Who::default(), &["a note".into()]).unwrap().to_html();
+        let html =
+            page("Test <1>", &analysis, &alternatives(&found.data, &found.conventions), &["a note".into()])
+                .unwrap()
+                .to_html();
         assert_eq!(html.matches("<svg").count(), 4);
         for part in [
             "Test &lt;1&gt;",

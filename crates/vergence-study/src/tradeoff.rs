@@ -3,32 +3,14 @@
 use vergence_stats::{Moments, linear, quantile};
 
 use crate::analysis::Row;
+use crate::convention::{Conventions, Front};
 use crate::measure::fitts::predicted_error;
-
-/// Which points of a cloud are its front.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Front {
-    /// The lower left convex hull, from the fastest point to the most accurate one.
-    Convex,
-    /// The points that none is both faster and more accurate than.
-    Pareto,
-    /// All.
-    All,
-}
-
-impl Front {
-    /// Its name in options and reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Convex => "convex",
-            Self::Pareto => "pareto",
-            Self::All => "all",
-        }
-    }
-}
 
 /// Guiard and Rioul's weighted homographic law (2015): (y − y0)^(1−α) (x − x0)^α = k, x mean movement time (s), y
 /// relative spread (SD over mean amplitude).
+///
+/// Where the right side is written k^α, that k is this one to the power 1/α. The values published for the table of 2011 (α .60,
+/// k .070) describe its front in the form used here, and not in the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Who {
     /// Weight of time, 0 to 1.
@@ -45,6 +27,18 @@ pub struct Who {
     pub points: [usize; 3],
     /// Of the line in logarithms.
     pub r2: Option<f64>,
+}
+
+/// The law of rows: x is each row's mean movement time, y its spread over its mean amplitude.
+pub fn who_of(rows: &[Row], conventions: &Conventions) -> Option<Who> {
+    who(&speeds_and_spreads(rows), conventions.who_x0_s, conventions.who_y0, conventions.who_front)
+}
+
+/// Mean movement time (s) and relative spread of the rows that have both.
+pub fn speeds_and_spreads(rows: &[Row]) -> Vec<(f64, f64)> {
+    let point =
+        |row: &Row| Some((row.ends.mt_s?, row.ends.x.sd? / row.ends.x.amplitude.filter(|a| *a > 0.0)?));
+    rows.iter().filter_map(point).collect()
 }
 
 /// Fits the front of `points` (x, y) by least squares of ln(y − y0) on ln(x − x0). None where fewer than three of its

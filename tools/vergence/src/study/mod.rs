@@ -11,8 +11,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use vergence_report::{Cell, Column, Table};
 use vergence_study::{
-    Analysis, ColumnMap, Conventions, Error, Front, Imported, Maps, Study, TEMPLATE, Tool, WhoKnobs, analyse,
-    analyse_trials, conditions_csv, import, page, stream, summary_json, together, trials_csv,
+    Alternative, Analysis, ColumnMap, Conventions, Error, Imported, Maps, Study, TEMPLATE, Tool,
+    alternatives, analyse, analyse_trials, conditions_csv, import, page, stream, summary_json, together,
+    trials_csv,
 };
 
 use crate::failure::Failure;
@@ -149,13 +150,6 @@ impl From<ToolName> for Tool {
     }
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum FrontName {
-    Convex,
-    Pareto,
-    All,
-}
-
 /// What is read, and the conventions.
 #[derive(clap::Args)]
 struct Input {
@@ -185,15 +179,15 @@ struct Input {
     /// turn_jump=10, least_trials=5; may be repeated
     #[arg(long = "set", value_name = "KNOB=VALUE")]
     knobs: Vec<String>,
-    /// Asymptote x0 of the weighted homographic law, seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
-    who_x0: f64,
-    /// Asymptote y0 of the weighted homographic law, relative spread
-    #[arg(long, value_name = "SPREAD", default_value_t = 0.0)]
-    who_y0: f64,
-    /// Which sequences the law is fitted to
-    #[arg(long, value_enum, default_value_t = FrontName::Convex)]
-    who_front: FrontName,
+    /// Asymptote x0 of the weighted homographic law, seconds; default: the map's, else 0
+    #[arg(long, value_name = "SECONDS")]
+    who_x0: Option<String>,
+    /// Asymptote y0 of the weighted homographic law, relative spread; default: the map's, else 0
+    #[arg(long, value_name = "SPREAD")]
+    who_y0: Option<String>,
+    /// Which sequences the law is fitted to: convex, pareto or all; default: the map's, else convex
+    #[arg(long, value_name = "FRONT")]
+    who_front: Option<String>,
     /// Threads for tables above 64 MiB; 0: as many as there are processors
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -206,15 +200,6 @@ enum Found {
 }
 
 impl Input {
-    fn who(&self) -> WhoKnobs {
-        let front = match self.who_front {
-            FrontName::Convex => Front::Convex,
-            FrontName::Pareto => Front::Pareto,
-            FrontName::All => Front::All,
-        };
-        WhoKnobs { x0_s: self.who_x0, y0: self.who_y0, front }
-    }
-
     /// The conventions of the recording, with what the call replaces.
     fn conventions(&self, mut conventions: Conventions) -> Result<Conventions, Failure> {
         let named = [
@@ -222,6 +207,9 @@ impl Input {
             ("axis", &self.axis),
             ("outliers", &self.outliers),
             ("id", &self.id),
+            ("who_x0_s", &self.who_x0),
+            ("who_y0", &self.who_y0),
+            ("who_front", &self.who_front),
         ];
         let call = |error: Error| Failure::Call(error.to_string());
         for (knob, value) in named {
@@ -357,9 +345,9 @@ impl Analyze {
                 write(&folder.join("trials.toml"), &map_of(all))?;
             }
         }
-        let who = self.input.who().fit(&analysis);
         if self.json {
-            println!("{}", summary_json(&analysis, who.as_ref()));
+            let others = others(&trials);
+            println!("{}", summary_json(&analysis, &others));
             return Ok(());
         }
         print!("{}", text_table(&analysis));
@@ -391,7 +379,7 @@ impl Analyze {
             }
             println!("  throughput varies by {} %", shown(stability.cv.map(|cv| 100.0 * cv), 1));
         }
-        if let Some(who) = who {
+        if let Some(who) = &analysis.who {
             println!(
                 "(y − y0)^(1−α) (x − x0)^α = k: α = {:.3}, k = {:.4}; x0 = {} s, y0 = {}, {} front of {} of {} sequences, {} of it fitted",
                 who.alpha,
@@ -471,9 +459,9 @@ struct Report {
 
 impl Report {
     fn run(self) -> Result<(), Failure> {
-        let (analysis, _, notes) = self.input.analysis()?;
+        let (analysis, trials, notes) = self.input.analysis()?;
         let page =
-            page(&self.title, &analysis, self.input.who(), &notes).map_err(|error| Failure::work(&error))?;
+            page(&self.title, &analysis, &others(&trials), &notes).map_err(|error| Failure::work(&error))?;
         write(&self.output, &page.to_html())?;
         println!("{}", self.output.display());
         Ok(())
@@ -524,6 +512,11 @@ impl Import {
         println!("{}: {} trials", self.output.display(), all.data.trials.len());
         Ok(())
     }
+}
+
+/// What each convention does, where the trials are at hand.
+fn others(trials: &Option<Imported>) -> Vec<Alternative> {
+    trials.as_ref().map_or_else(Vec::new, |all| alternatives(&all.data, &all.conventions))
 }
 
 /// The map that reads our own table again by the same conventions.
