@@ -7,6 +7,7 @@ use crate::course::{Course, Reading, Step};
 use crate::error::Error;
 use crate::folder::{Folder, Lock, State};
 use crate::journal::{About, Journal};
+use crate::metronome::Metronome;
 
 /// A clock that went back goes on so long behind its latest instant: longer than any movement survives.
 const BEHIND: Span = Span::from_millis(1000);
@@ -44,6 +45,9 @@ pub struct Conduct {
     offset_ns: i64,
     latest: Timestamp,
     interrupted: u64,
+    metronome: Option<Metronome>,
+    /// Of the clicks that are heard now, seconds.
+    period_s: Option<f64>,
 }
 
 impl Conduct {
@@ -78,7 +82,15 @@ impl Conduct {
             offset_ns: 0,
             latest: Timestamp::default(),
             interrupted: 0,
+            metronome: None,
+            period_s: None,
         })
+    }
+
+    /// Lets the participant hear this: while there is somewhere to go, at the pace that the instruction asks for.
+    #[must_use]
+    pub fn with_metronome(self, metronome: Option<Metronome>) -> Self {
+        Self { metronome, ..self }
     }
 
     /// What happens next.
@@ -124,7 +136,22 @@ impl Conduct {
             }
             Step::Began | Step::Nothing => {}
         }
+        self.keep_time()?;
         Ok(step)
+    }
+
+    fn keep_time(&mut self) -> Result<(), Error> {
+        let Some(metronome) = &self.metronome else { return Ok(()) };
+        let goal = self.course.goal();
+        let pace = goal.and_then(|_| self.course.instruction()?.metronome);
+        let period_s = goal.zip(pace).map(|(goal, pace)| pace * goal.predicted_s);
+        metronome.set(period_s)?;
+        if self.period_s != period_s {
+            self.period_s = period_s;
+            let text = period_s.map_or_else(|| "silent".to_owned(), |s| format!("every {:.1} ms", 1e3 * s));
+            self.journal.event(self.latest, "metronome", &text);
+        }
+        Ok(())
     }
 
     /// Writes down that something happened to the device.

@@ -45,6 +45,12 @@ pub enum Error {
     /// The simulated person.
     #[error(transparent)]
     Person(#[from] vergence_sim::Error),
+    /// The metronome is not heard any more.
+    #[error("the metronome's player, {player}, has ended: expected one that plays on")]
+    Silent {
+        /// Its name.
+        player: String,
+    },
     /// The simulated person does not get on.
     #[error(
         "the simulated person has ended no trial for {seconds:.0} s: expected one that finds its targets"

@@ -119,8 +119,16 @@ impl Actor {
     }
 }
 
-/// How careful an instruction asks to be, by the words of its name.
+/// How careful an instruction asks to be: by its metronome, or the words of its name.
 fn margin(instruction: &Instruction) -> f64 {
+    // Who hears a metronome keeps to it.
+    if let Some(pace) = instruction.metronome {
+        return match pace {
+            ..0.95 => Params::FAST,
+            0.95..=1.05 => Params::BALANCED,
+            _ => Params::ACCURATE,
+        };
+    }
     let name = instruction.name.to_lowercase();
     let says = |words: &[&str]| words.iter().any(|word| name.contains(word));
     if says(&["fast", "speed", "quick"]) {

@@ -6,8 +6,8 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use vergence_experiment::{
-    About, Conduct, Ended, Error, Folder, InHeadset, Input, OnDesktop, check, in_headset, on_desktop,
-    window_size,
+    About, Conduct, Ended, Error, Folder, InHeadset, Input, Metronome, OnDesktop, Sound, check, in_headset,
+    on_desktop, window_size,
 };
 use vergence_session::{
     CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig, RunReport,
@@ -44,6 +44,10 @@ pub struct Run {
     /// Ends after so many trials; --resume goes on
     #[arg(long, value_name = "N")]
     most_trials: Option<u64>,
+    /// What plays the metronome of an instruction: auto (paplay, else aplay), none, or a program that reads 16-bit samples of
+    /// one channel at 48 kHz. Simulated people hear it without
+    #[arg(long, value_name = "auto|none|PROGRAM", default_value_t = Sound::Found)]
+    sound: Sound,
     /// Desktop: pixels per inch of the screen, so that sizes are as the study says
     #[arg(long, value_name = "PIXELS", default_value_t = 96.0)]
     dpi: f64,
@@ -126,6 +130,15 @@ impl Run {
         let study = Study::parse(&self.study, &text).map_err(|error| Failure::Work(error.to_string()))?;
         let checked = if is_desktop { window_size(&study, &desktop).map(drop) } else { check(&study, &how) };
         checked.map_err(|error| failed(&error))?;
+        let sound = if matches!(input, Input::Simulated(_)) { &Sound::Silent } else { &self.sound };
+        let metronome = Metronome::of(&study, sound).map_err(|error| failed(&error))?;
+        let mut notes = std::collections::BTreeMap::new();
+        if is_desktop {
+            notes.insert("dpi".to_owned(), self.dpi.to_string());
+        }
+        if study.instructions.iter().any(|one| one.metronome.is_some()) {
+            notes.insert("sound".to_owned(), sound.to_string());
+        }
         let folder = Folder::create(&data, &self.study).map_err(|error| failed(&error))?;
         let headset = match self.headset {
             Headset::Openxr => "openxr",
@@ -144,16 +157,13 @@ impl Run {
             }
             .to_owned(),
             conventions: Conventions::default(),
-            notes: if is_desktop {
-                [("dpi".to_owned(), self.dpi.to_string())].into()
-            } else {
-                Default::default()
-            },
+            notes,
             ..About::default()
         };
         stop_on_signals(&how.run.stop)?;
         let conduct =
             Conduct::begin(folder, about, self.resume, is_desktop).map_err(|error| failed(&error))?;
+        let conduct = conduct.with_metronome(metronome);
         let bar = bar(conduct.course().progress());
         let shown = bar.clone();
         let mut watch = |happening: Happening<'_>| {
