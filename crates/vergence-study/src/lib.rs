@@ -22,6 +22,8 @@ pub use convention::{
 pub use design::{Order, permutations, shuffled, williams};
 pub use export::{conditions_csv, summary_json, trials_csv};
 pub use import::{Column, ColumnMap, Imported, Maps, Scaled, Streamed, Tool, import, stream, together};
+#[cfg(feature = "parquet")]
+pub use import::{ParquetText, parquet_text, write_parquet};
 pub use report::page;
 pub use study_file::{Instruction, Plan, PlannedBlock, PlannedTrial, Size, Study, TEMPLATE, Trigger};
 pub use task::{Geometry, Plane, Target, layout, real_amplitude};

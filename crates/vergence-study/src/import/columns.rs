@@ -122,7 +122,7 @@ pub(super) const NUMBERS: [&str; 29] = [
     "submovements",
     "overshoots",
 ];
-const TEXTS: [&str; 5] = ["participant", "session", "block", "condition", "instruction"];
+pub(super) const TEXTS: [&str; 5] = ["participant", "session", "block", "condition", "instruction"];
 const FLAGS: [&str; 5] = ["error", "hit", "practice", "spatial_outlier", "temporal_outlier"];
 
 /// Places in [`NUMBERS`].

@@ -3,10 +3,14 @@
 mod columns;
 mod fittsstudy;
 mod gofitts;
+#[cfg(feature = "parquet")]
+mod parquet;
 mod stream;
 mod threedfitts;
 
 pub use columns::{Column, ColumnMap, Maps, Scaled};
+#[cfg(feature = "parquet")]
+pub use parquet::{ParquetText, parquet_text, write_parquet};
 pub use stream::{Streamed, stream};
 
 use crate::Error;

@@ -1,5 +1,6 @@
 //! `vergence study`: study files, sittings, recordings of other tools, analysis, report.
 
+mod parquet;
 mod run;
 mod status;
 
@@ -20,6 +21,8 @@ use crate::failure::Failure;
 
 /// Tables larger than this are analysed in one pass, without keeping their trials.
 const STREAM_BYTES: u64 = 64 << 20;
+/// So many times fewer bytes than the text a table takes as Parquet.
+const PARQUET_SHRINKS: u64 = 4;
 
 /// Plans, reads and analyses studies of pointing
 #[derive(clap::Args)]
@@ -42,7 +45,7 @@ enum What {
     /// A study's folder, or logs of sittings (.mcap), by the conventions that they name.
     /// Recordings of FittsStudy (.csv, .txt, .xml), 3DFitts (.json), GoFitts (.sd3) and tables with a column map are
     /// told apart by their content and analysed by the conventions of their tool, which the options replace one by one.
-    /// Tables above 64 MiB are analysed in one pass.
+    /// Tables above 64 MiB are analysed in one pass. Builds with --features parquet read .parquet as they read .csv.
     Analyze(Analyze),
     /// One self-contained HTML page: plots, tables, methods, exclusions
     Report(Report),
@@ -259,27 +262,28 @@ impl Input {
         for file in &files {
             let unreadable = |error: std::io::Error| Failure::Call(format!("{}: {error}", file.display()));
             let bytes = std::fs::metadata(file).map_err(unreadable)?.len();
+            if has_ending(file, "parquet") {
+                if bytes > STREAM_BYTES / PARQUET_SHRINKS && files.len() == 1 {
+                    return self.streamed(file, parquet::text(file)?, bytes, |error| in_file(file, error));
+                }
+                let mut text = String::new();
+                std::io::Read::read_to_string(&mut parquet::text(file)?, &mut text)
+                    .map_err(|error| Failure::Work(format!("{}: {error}", file.display())))?;
+                let name =
+                    file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+                parts.push(
+                    import(Tool::Csv, &name, &text, &self.map(file)?)
+                        .map_err(|error| in_file(file, &error))?,
+                );
+                continue;
+            }
             let tool = match self.tool {
                 Some(tool) => tool.into(),
                 None => Tool::guess(&head_of(file).map_err(unreadable)?),
             };
             if tool == Tool::Csv && bytes > STREAM_BYTES && files.len() == 1 {
-                let map = self.map(file)?;
-                let conventions =
-                    self.conventions(map.resolved().map_err(|error| Failure::Call(error.to_string()))?)?;
-                let threads = match self.threads {
-                    0 => std::thread::available_parallelism().map_or(1, usize::from),
-                    threads => threads,
-                };
-                let bar = progress(bytes);
                 let input = File::open(file).map_err(unreadable)?;
-                let found = stream(input, &map, Some(&conventions), threads, |read| bar.set_position(read));
-                bar.finish_and_clear();
-                let found = found.map_err(|error| in_file(file, &error))?;
-                let note =
-                    format!("{} rows are not wanted by the map or lack a number it needs", found.absent);
-                let notes = if found.absent > 0 { vec![note] } else { Vec::new() };
-                return Ok(Found::Sums(Box::new(found.analysis), notes));
+                return self.streamed(file, input, bytes, |error| in_file(file, error));
             }
             let map = if tool == Tool::Csv { self.map(file)? } else { ColumnMap::default() };
             let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -288,6 +292,29 @@ impl Input {
         let mut all = together(parts).map_err(|error| Failure::Work(error.to_string()))?;
         all.conventions = self.conventions(all.conventions)?;
         Ok(Found::Trials(all))
+    }
+
+    fn streamed(
+        &self,
+        file: &Path,
+        input: impl std::io::Read + Send,
+        bytes: u64,
+        in_file: impl Fn(&Error) -> Failure,
+    ) -> Result<Found, Failure> {
+        let map = self.map(file)?;
+        let conventions =
+            self.conventions(map.resolved().map_err(|error| Failure::Call(error.to_string()))?)?;
+        let threads = match self.threads {
+            0 => std::thread::available_parallelism().map_or(1, usize::from),
+            threads => threads,
+        };
+        let bar = progress(bytes);
+        let found = stream(input, &map, Some(&conventions), threads, |read| bar.set_position(read));
+        bar.finish_and_clear();
+        let found = found.map_err(|error| in_file(&error))?;
+        let note = format!("{} rows are not wanted by the map or lack a number it needs", found.absent);
+        let notes = if found.absent > 0 { vec![note] } else { Vec::new() };
+        Ok(Found::Sums(Box::new(found.analysis), notes))
     }
 
     fn read_logs(&self, files: &[PathBuf]) -> Result<Found, Failure> {
@@ -475,17 +502,22 @@ struct Import {
     from: ToolName,
     #[command(flatten)]
     input: Input,
-    /// Log to write (.mcap), or a table of trials (.csv), whose conventions go to a .toml beside it
+    /// Log to write (.mcap), or a table of trials (.csv, or .parquet in builds that have it), whose conventions go to a
+    /// .toml beside it
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 }
 
 impl Import {
     fn run(mut self) -> Result<(), Failure> {
-        let is_table = self.output.extension().is_some_and(|extension| extension == "csv");
-        if !is_table && !is_log(&self.output) {
+        let is_table = has_ending(&self.output, "csv");
+        let is_parquet = has_ending(&self.output, "parquet");
+        if is_parquet {
+            parquet::available()?;
+        }
+        if !is_table && !is_parquet && !is_log(&self.output) {
             return Err(Failure::Call(format!(
-                "expected an output that ends in .mcap or .csv, found {}",
+                "expected an output that ends in .mcap, .csv or .parquet, found {}",
                 self.output.display()
             )));
         }
@@ -501,8 +533,13 @@ impl Import {
         for note in &all.warnings {
             log::warn!("{note}");
         }
-        if is_table {
-            write(&self.output, &trials_csv(&analyse_trials(&all.data, &all.conventions)))?;
+        if is_table || is_parquet {
+            let table = trials_csv(&analyse_trials(&all.data, &all.conventions));
+            if is_parquet {
+                parquet::write(&self.output, &table)?;
+            } else {
+                write(&self.output, &table)?;
+            }
             write(&self.output.with_extension("toml"), &map_of(&all))?;
         } else {
             let application = concat!("vergence ", env!("CARGO_PKG_VERSION"));
@@ -549,16 +586,16 @@ fn files_of(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         let mut own = Vec::new();
         for entry in std::fs::read_dir(input).map_err(unreadable)? {
             let path = entry.map_err(unreadable)?.path();
-            let known = path
-                .extension()
-                .is_some_and(|own| ["csv", "json", "xml", "sd3", "txt", "mcap"].iter().any(|e| own == *e));
+            let known = path.extension().is_some_and(|own| {
+                ["csv", "json", "xml", "sd3", "txt", "mcap", "parquet"].iter().any(|e| own == *e)
+            });
             if known && path.is_file() {
                 own.push(path);
             }
         }
         if own.is_empty() {
             return Err(Failure::Call(format!(
-                "{}: expected recordings (.csv, .json, .xml, .sd3, .txt, .mcap), found none",
+                "{}: expected recordings (.csv, .json, .xml, .sd3, .txt, .mcap, .parquet), found none",
                 input.display()
             )));
         }
@@ -569,7 +606,11 @@ fn files_of(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
 }
 
 fn is_log(file: &Path) -> bool {
-    file.extension().is_some_and(|own| own == "mcap")
+    has_ending(file, "mcap")
+}
+
+fn has_ending(file: &Path, ending: &str) -> bool {
+    file.extension().is_some_and(|own| own == ending)
 }
 
 fn head_of(file: &Path) -> std::io::Result<String> {
