@@ -218,12 +218,21 @@ impl Folder {
     /// # Errors
     /// Where a log cannot be read.
     pub fn finished_trials(&self, participant: &str) -> Result<Vec<Record>, Error> {
+        Ok(self.done_so_far(participant)?.0)
+    }
+
+    /// These trials, and the headset and input of those that are there.
+    fn done_so_far(&self, participant: &str) -> Result<(Vec<Record>, Option<(String, String)>), Error> {
         let own = self.manifest.sittings.iter().filter(|sitting| sitting.participant == participant);
-        let mut records = Vec::new();
+        let (mut records, mut device) = (Vec::new(), None);
         for sitting in own {
-            records.extend(self.log(sitting)?.records);
+            let log = self.log(sitting)?;
+            if !log.records.is_empty() {
+                device = Some((log.about.headset, log.about.input));
+            }
+            records.extend(log.records);
         }
-        Ok(records)
+        Ok((records, device))
     }
 
     /// Closes logs that were left open, by a process that is gone. Call with the lock held.
@@ -251,8 +260,8 @@ impl Folder {
     /// With the trials that are finished.
     ///
     /// # Errors
-    /// Where the pseudonym is none, somebody else writes, or the participant has begun (without `resume`), has not
-    /// (with it), or has done everything.
+    /// Where the pseudonym is none, somebody else writes, or the participant has finished trials (without `resume`), has not
+    /// begun (with it), has done everything, or began on another headset or with another input.
     pub(crate) fn begin(
         &mut self,
         about: &mut About,
@@ -264,7 +273,7 @@ impl Folder {
         // Somebody else may have written since.
         self.manifest = Self::open(&self.path)?.manifest;
         self.seal()?;
-        let records = self.finished_trials(&name)?;
+        let (records, device) = self.done_so_far(&name)?;
         let own = self.manifest.sittings.iter().filter(|sitting| sitting.participant == name);
         let part = own.clone().map(|sitting| sitting.part).max().unwrap_or(0) + 1;
         let done = own.clone().any(|sitting| sitting.state == State::Finished);
@@ -275,7 +284,7 @@ impl Folder {
                 records.len()
             )));
         }
-        if begun && !resume {
+        if !records.is_empty() && !resume {
             return Err(Error::Call(format!(
                 "{name} has begun and finished {} trials (in {here}): --resume goes on with the next one",
                 records.len()
@@ -284,6 +293,14 @@ impl Folder {
         if !begun && resume {
             return Err(Error::Call(format!(
                 "--resume: expected that {name} has begun, found no trial in {here}"
+            )));
+        }
+        let own = (about.headset.clone(), about.input.clone());
+        if let Some(device) = device.filter(|device| *device != own) {
+            return Err(Error::Call(format!(
+                "{name} has begun with --headset {} --input {}: expected the same for the rest, found --headset {} --input {} (what \
+                 is compared within a person must be measured alike)",
+                device.0, device.1, own.0, own.1
             )));
         }
         about.part = part;

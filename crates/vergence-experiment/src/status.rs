@@ -98,9 +98,14 @@ impl Status {
         let mut findings = Vec::new();
         let mut logs: Vec<(&Sitting, SessionLog)> = Vec::new();
         for sitting in folder.sittings() {
-            look_at_file(folder, sitting, in_use, &mut findings);
+            let as_it_was = look_at_file(folder, sitting, in_use, &mut findings);
             match folder.log(sitting) {
-                Ok(log) => logs.push((sitting, log)),
+                Ok(mut log) => {
+                    // A log that ended suddenly, or on a full disk, is cut off where it is, and the manifest knows it so.
+                    let open = matches!(sitting.state, State::CutOff | State::Open);
+                    log.damage.retain(|damage| !((open || as_it_was) && damage.starts_with("cut off")));
+                    logs.push((sitting, log));
+                }
                 Err(error) if folder.path().join(&sitting.file).exists() => {
                     findings.push(Finding::new(Kind::Damaged, &sitting.file, error.to_string()));
                 }
@@ -141,12 +146,13 @@ impl Finding {
     }
 }
 
-fn look_at_file(folder: &Folder, sitting: &Sitting, in_use: bool, findings: &mut Vec<Finding>) {
+/// Whether the file is the one that the manifest has a checksum of.
+fn look_at_file(folder: &Folder, sitting: &Sitting, in_use: bool, findings: &mut Vec<Finding>) -> bool {
     let path = folder.path().join(&sitting.file);
     let mut add = |kind, text: String| findings.push(Finding::new(kind, &sitting.file, text));
     if !path.exists() {
         add(Kind::Damaged, format!("expected the log that {MANIFEST} names, found none"));
-        return;
+        return false;
     }
     match sitting.state {
         State::Open if in_use => add(Kind::Note, "is being written now".to_owned()),
@@ -157,12 +163,14 @@ fn look_at_file(folder: &Folder, sitting: &Sitting, in_use: bool, findings: &mut
         State::Stopped => add(Kind::Incomplete, format!("ended before everything was done: {}", sitting.why)),
         State::Finished => {}
     }
-    if !sitting.hash.is_empty()
-        && let Ok(bytes) = std::fs::read(&path)
-        && hash_of(&bytes) != sitting.hash
-    {
+    if sitting.hash.is_empty() {
+        return false;
+    }
+    let is_same = std::fs::read(&path).is_ok_and(|bytes| hash_of(&bytes) == sitting.hash);
+    if !is_same {
         add(Kind::Damaged, format!("expected the checksum {}, found another: it was changed", sitting.hash));
     }
+    is_same
 }
 
 /// Logs that the manifest does not know.
@@ -197,9 +205,7 @@ fn look_inside(folder: &Folder, sitting: &Sitting, log: &SessionLog, findings: &
     if sitting.state != State::Open && sitting.trials != log.records.len() as u64 {
         add(Kind::Gap, format!("expected {} trials, found {}", sitting.trials, log.records.len()));
     }
-    // A log that is known to have ended suddenly is cut off where it is.
-    let known = matches!(sitting.state, State::CutOff | State::Open);
-    for damage in log.damage.iter().filter(|damage| !(known && damage.starts_with("cut off"))) {
+    for damage in &log.damage {
         add(Kind::Damaged, damage.clone());
     }
     for (at, event) in &log.events {
@@ -209,6 +215,8 @@ fn look_inside(folder: &Folder, sitting: &Sitting, log: &SessionLog, findings: &
                 add(Kind::Note, format!("at {seconds:.1} s a movement was made again: {}", event.text))
             }
             "clock_went_back" => add(Kind::Note, format!("at {seconds:.1} s the session was made anew")),
+            // Which headset was found is known from the log's header.
+            "headset" if event.text.starts_with(&format!("{}: ", about.headset)) => {}
             "headset" => add(Kind::Note, format!("at {seconds:.1} s: {}", event.text)),
             _ => {}
         }

@@ -99,6 +99,10 @@ fn a_sitting_ends_goes_on_and_is_analysed() {
     assert_eq!(kinds(&status(dir.path())), [Kind::Incomplete, Kind::Incomplete]);
     let again = sit(dir.path(), "P01", false, 40).unwrap_err();
     assert!(again.is_wrong_call() && again.to_string().contains("--resume"), "{again}");
+    let other = About { input: "mouse".to_owned(), ..about("P01") };
+    let folder = Folder::open(&dir.path().join("data")).unwrap();
+    let other = Conduct::begin(folder, other, true, false).unwrap_err();
+    assert!(other.is_wrong_call() && other.to_string().contains("--input mouse"), "{other}");
     let second = sit(dir.path(), "P01", true, 40).unwrap();
     assert_eq!((second.trials, second.progress, second.finished), (27, (40, 40), true));
     let done = sit(dir.path(), "P01", true, 40).unwrap_err();

@@ -479,16 +479,23 @@ struct Report {
     /// Page to write
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Heads the page
-    #[arg(long, default_value = "Pointing study")]
-    title: String,
+    /// Heads the page [default: the study's name, else "Pointing study"]
+    #[arg(long)]
+    title: Option<String>,
 }
 
 impl Report {
     fn run(self) -> Result<(), Failure> {
         let (analysis, trials, notes) = self.input.analysis()?;
+        let named = || match &self.input.inputs[..] {
+            [folder] => {
+                vergence_experiment::Folder::open(folder).ok().map(|folder| folder.study().name.clone())
+            }
+            _ => None,
+        };
+        let title = self.title.clone().or_else(named).unwrap_or_else(|| "Pointing study".to_owned());
         let page =
-            page(&self.title, &analysis, &others(&trials), &notes).map_err(|error| Failure::work(&error))?;
+            page(&title, &analysis, &others(&trials), &notes).map_err(|error| Failure::work(&error))?;
         write(&self.output, &page.to_html())?;
         println!("{}", self.output.display());
         Ok(())
