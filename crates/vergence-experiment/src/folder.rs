@@ -81,6 +81,9 @@ pub struct Folder {
     pub(crate) manifest: Manifest,
 }
 
+/// Headset and input.
+type Device = (String, String);
+
 /// Nobody else writes while it is there.
 #[derive(Debug)]
 pub(crate) struct Lock {
@@ -222,7 +225,7 @@ impl Folder {
     }
 
     /// These trials, and the headset and input of those that are there.
-    fn done_so_far(&self, participant: &str) -> Result<(Vec<Record>, Option<(String, String)>), Error> {
+    fn done_so_far(&self, participant: &str) -> Result<(Vec<Record>, Option<Device>), Error> {
         let own = self.manifest.sittings.iter().filter(|sitting| sitting.participant == participant);
         let (mut records, mut device) = (Vec::new(), None);
         for sitting in own {
