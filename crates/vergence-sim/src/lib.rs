@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+pub mod camera;
 pub mod gamepad;
 pub mod gaze;
 pub mod hid;

@@ -6,7 +6,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Vector3;
-use vergence_slam::dataset::Dataset;
+use vergence_geom::{Camera, Distortion, Lens, Rigid};
+use vergence_sense::Imu;
+use vergence_slam::Inertial;
+use vergence_slam::dataset::{Dataset, Rig, Writer, rig};
+use vergence_slam::trajectory::Trajectory;
+use vergence_time::Timestamp;
 
 const CAMERA: &str = "%YAML:1.0
 sensor_type: camera
@@ -96,6 +101,65 @@ fn a_whole_recording_is_read() {
 }
 
 /// Breaks one file of a whole recording; what opening it says.
+#[test]
+fn what_is_written_is_read_again() {
+    let distortions = [
+        Distortion::Radtan { radial: [-0.28, 0.07, 1e-3], tangential: [2e-4, 1.8e-5] },
+        Distortion::KannalaBrandt { k: [0.003, 7e-4, -2e-3, 2e-4] },
+        Distortion::DoubleSphere { xi: -0.2, alpha: 0.55 },
+    ];
+    let camera = |(n, distortion): (usize, &Distortion)| Camera {
+        lens: Lens::new([40.125, 41.0], [31.5, 23.25], *distortion).unwrap(),
+        size_px: [64, 48 + 2 * n as u32],
+        body_from_camera: Rigid::new(Vector3::new(0.1 * n as f64, 1e-7, -0.02), Vector3::new(0.3, -1.2, 0.1)),
+    };
+    let cameras: Vec<Camera> = distortions.iter().enumerate().map(camera).collect();
+    let written = Rig { cameras, inertial: Some((Inertial::EUROC, 200.0)) };
+    let folder = tempfile::tempdir().unwrap();
+    let mut writer = Writer::create(folder.path(), &written, 20.0).unwrap();
+    let time = |k: i64| Timestamp::from_nanos(START + 50_000_000 * k);
+    let pixels =
+        |k: i64, height: i64| -> Vec<u8> { (0..64 * height).map(|i| (i * 7 + k * 31) as u8).collect() };
+    for k in 0..4 {
+        for n in 0..3 {
+            writer.picture(n, time(k), &pixels(k, 48 + 2 * n as i64)).unwrap();
+        }
+    }
+    let wrong = writer.picture(0, time(9), &[0; 3]).unwrap_err().to_string();
+    assert!(wrong.contains("3072 pixels"), "{wrong}");
+    let value = Imu {
+        gyr_rad_s: Vector3::new(0.1, -1e-9, 0.0),
+        acc_m_s2: Vector3::new(1.0 / 3.0, 9.81, -0.0),
+        mag_ut: None,
+    };
+    let readings: Vec<_> = (0..40).map(|k| (Timestamp::from_nanos(START + 5_000_000 * k), value)).collect();
+    let pose = |k| Rigid::new(Vector3::new(k as f64, 0.5, 0.0), Vector3::new(0.0, 0.1 * k as f64, 0.0));
+    let truth = Trajectory { poses: (0..4).map(|k| (time(k), pose(k))).collect() };
+    writer.finish(&readings, &truth).unwrap();
+
+    let found = Dataset::open(folder.path()).unwrap();
+    assert_eq!((found.frames.len(), found.unpaired, found.frames[3].at), (4, 0, time(3)));
+    let pictures = found.pictures(2).unwrap();
+    assert!((0..3).all(|n| pictures[n].pixels == pixels(2, 48 + 2 * n as i64)));
+    let inertial = found.inertial.unwrap();
+    assert_eq!((inertial.unit, inertial.rate_hz), (Inertial::EUROC, 200.0));
+    assert_eq!(inertial.samples, readings);
+    let again = rig(folder.path()).unwrap();
+    assert_eq!(again.inertial, Some((Inertial::EUROC, 200.0)));
+    for cameras in [&found.cameras, &again.cameras] {
+        for (found, written) in cameras.iter().zip(&written.cameras) {
+            assert_eq!((found.lens, found.size_px), (written.lens, written.size_px));
+            let off = found.body_from_camera.inverse() * written.body_from_camera;
+            assert!(off.translation.vector.norm() < 1e-12 && off.rotation.angle() < 1e-12, "{off}");
+        }
+    }
+    for (found, written) in found.truth.unwrap().poses.iter().zip(&truth.poses) {
+        assert_eq!(found.0, written.0);
+        assert!((found.1.inverse() * written.1).translation.vector.norm() < 1e-12);
+    }
+    assert!(rig(&folder.path().join("nowhere")).is_err());
+}
+
 fn broken(break_it: impl FnOnce(&Path)) -> String {
     let folder = tempfile::tempdir().unwrap();
     whole(folder.path());

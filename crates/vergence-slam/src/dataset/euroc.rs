@@ -7,9 +7,43 @@ use vergence_inertial::preintegrate::NoiseDensities;
 use vergence_time::Timestamp;
 
 use super::calibration::Sheet;
-use super::{Dataset, FrameFiles, InertialRecording, check_there};
+use super::{Dataset, FrameFiles, InertialRecording, Rig, check_there};
 use crate::trajectory::{Trajectory, read_text};
 use crate::{Error, Inertial};
+
+pub(super) fn rig(rig: &Path) -> Result<Rig, Error> {
+    let mut cameras = Vec::new();
+    for index in 0.. {
+        let path = rig.join(format!("cam{index}")).join("sensor.yaml");
+        if index > 0 && !path.is_file() {
+            break;
+        }
+        cameras.push(Sheet::read(&path)?.camera()?);
+    }
+    let path = rig.join("imu0").join("sensor.yaml");
+    if !path.is_file() {
+        return Ok(Rig { cameras, inertial: None });
+    }
+    let sheet = Sheet::read(&path)?;
+    let body_from_imu = sheet.body_from_sensor()?;
+    for camera in &mut cameras {
+        camera.body_from_camera = body_from_imu.inverse() * camera.body_from_camera;
+    }
+    Ok(Rig { cameras, inertial: Some((unit(&sheet)?, sheet.positive("rate_hz")?)) })
+}
+
+/// The noise that a calibration says.
+fn unit(sheet: &Sheet) -> Result<Inertial, Error> {
+    Ok(Inertial {
+        noise: NoiseDensities {
+            gyr_rad_s_rthz: sheet.positive("gyroscope_noise_density")?,
+            acc_m_s2_rthz: sheet.positive("accelerometer_noise_density")?,
+        },
+        gyr_walk: sheet.positive("gyroscope_random_walk")?,
+        acc_walk: sheet.positive("accelerometer_random_walk")?,
+        ..Inertial::EUROC
+    })
+}
 
 pub(super) fn open(folder: &Path, rig: &Path) -> Result<Dataset, Error> {
     let mut cameras = Vec::new();
@@ -35,17 +69,8 @@ pub(super) fn open(folder: &Path, rig: &Path) -> Result<Dataset, Error> {
         for (_, pose) in truth.iter_mut().flat_map(|truth| &mut truth.poses) {
             *pose *= body_from_imu;
         }
-        let unit = Inertial {
-            noise: NoiseDensities {
-                gyr_rad_s_rthz: sheet.positive("gyroscope_noise_density")?,
-                acc_m_s2_rthz: sheet.positive("accelerometer_noise_density")?,
-            },
-            gyr_walk: sheet.positive("gyroscope_random_walk")?,
-            acc_walk: sheet.positive("accelerometer_random_walk")?,
-            ..Inertial::EUROC
-        };
         inertial = Some(InertialRecording {
-            unit,
+            unit: unit(&sheet)?,
             rate_hz: sheet.positive("rate_hz")?,
             samples: Recording::read(&place)?.samples,
         });

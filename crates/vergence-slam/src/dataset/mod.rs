@@ -7,6 +7,7 @@
 mod calibration;
 mod euroc;
 mod seven_scenes;
+mod writer;
 
 use std::path::{Path, PathBuf};
 
@@ -16,6 +17,8 @@ use vergence_time::{Span, Timestamp};
 
 use crate::Error;
 use crate::trajectory::Trajectory;
+
+pub use writer::Writer;
 
 /// A recording: what its sensors are, and where each frame's pictures lie.
 #[derive(Clone, Debug)]
@@ -146,6 +149,24 @@ impl Dataset {
         let middle = steps.len() / 2;
         (!steps.is_empty()).then(|| Span::from_nanos(*steps.select_nth_unstable(middle).1))
     }
+}
+
+/// Cameras and an inertial unit without a recording.
+#[derive(Clone, Debug)]
+pub struct Rig {
+    /// The cameras. The body is the inertial unit, where there is one.
+    pub cameras: Vec<Camera>,
+    /// What the inertial unit is, and its rate, hertz.
+    pub inertial: Option<(crate::Inertial, f64)>,
+}
+
+/// Reads the calibrations of a EuRoC (ASL) folder (it has `mav0`, or is it): `cam*/sensor.yaml` and `imu0/sensor.yaml`.
+///
+/// # Errors
+/// No `cam0/sensor.yaml`, or a calibration that cannot be.
+pub fn rig(folder: &Path) -> Result<Rig, Error> {
+    let inner = folder.join("mav0");
+    euroc::rig(if inner.is_dir() { &inner } else { folder })
 }
 
 fn decode(path: &Path) -> Result<image::DynamicImage, Error> {
