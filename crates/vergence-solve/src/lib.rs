@@ -3,6 +3,7 @@
 
 mod descent;
 mod elimination;
+mod factor;
 mod kernel;
 mod marginal;
 mod normal;

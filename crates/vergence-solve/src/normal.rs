@@ -1,13 +1,15 @@
 //! The normal equations: a dense, symmetric matrix and a gradient.
 
-use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
+use nalgebra::{DMatrix, DVector, SMatrix, SVector};
+
+use crate::factor::Factor;
 
 /// `hessian · step = −gradient`. Of the matrix only the lower triangle is read.
 #[derive(Clone, Debug, Default)]
 pub struct Normal {
     pub(crate) hessian: DMatrix<f64>,
     pub(crate) gradient: DVector<f64>,
-    factor: DMatrix<f64>,
+    factor: Factor,
     step: DVector<f64>,
 }
 
@@ -16,7 +18,7 @@ impl Normal {
     pub fn reset(&mut self, dimension: usize) {
         if self.gradient.len() != dimension {
             self.hessian = DMatrix::zeros(dimension, dimension);
-            self.factor = DMatrix::zeros(dimension, dimension);
+            self.factor.reset(dimension);
             self.gradient = DVector::zeros(dimension);
             self.step = DVector::zeros(dimension);
         } else {
@@ -81,31 +83,32 @@ impl Normal {
     /// The step for this damping: `(hessian + damping · diagonal) · step = −gradient`, each diagonal entry at least
     /// `floor` in the damping term. `None` where the matrix is not positive definite or the step not finite.
     pub fn solve(&mut self, damping: f64, floor: f64) -> Option<&[f64]> {
-        self.factor.copy_from(&self.hessian);
-        for i in 0..self.dimension() {
-            let diagonal = self.hessian[(i, i)];
-            self.factor[(i, i)] = diagonal + damping * diagonal.max(floor);
-        }
-        let factored = Cholesky::new(std::mem::take(&mut self.factor));
-        let Some(factored) = factored else {
-            self.factor = DMatrix::zeros(self.dimension(), self.dimension());
-            return None;
+        let hessian = &self.hessian;
+        let damped = |i: usize, j: usize| {
+            let entry = hessian[(i, j)];
+            if i == j { entry + damping * entry.max(floor) } else { entry }
         };
+        if !self.factor.set(damped) {
+            return None;
+        }
         self.step.copy_from(&self.gradient);
         self.step.neg_mut();
-        factored.solve_mut(&mut self.step);
-        self.factor = factored.unpack_dirty();
+        self.factor.solve(self.step.as_mut_slice());
         self.step.iter().all(|x| x.is_finite()).then_some(self.step.as_slice())
     }
 
-    /// The covariance of `N` unknowns from `at`, all others free: a diagonal block of the inverse. `None` where the
-    /// matrix is not positive definite.
-    pub fn covariance<const N: usize>(&self, at: usize) -> Option<SMatrix<f64, N, N>> {
-        let factored = Cholesky::new(self.hessian.clone())?;
-        let mut columns = DMatrix::zeros(self.dimension(), N);
-        (0..N).for_each(|i| columns[(at + i, i)] = 1.0);
-        factored.solve_mut(&mut columns);
-        Some(columns.fixed_view::<N, N>(at, 0).into_owned())
+    /// Variances of `N` unknowns, all others free: entries of the diagonal of the inverse, by one factorisation. `None` where the
+    /// matrix is not positive definite, or has no such unknowns.
+    pub fn variances<const N: usize>(&mut self, of: &[usize; N]) -> Option<[f64; N]> {
+        let dimension = self.dimension();
+        if of.iter().any(|i| *i >= dimension) {
+            return None;
+        }
+        if !self.factor.set(|i, j| self.hessian[(i, j)]) {
+            return None;
+        }
+        let found = of.map(|i| self.factor.variance(i, self.step.as_mut_slice()));
+        Some(found)
     }
 }
 
@@ -138,8 +141,11 @@ mod tests {
         let step = nalgebra::Vector4::from_column_slice(normal.solve(0.0, 0.0).unwrap());
         assert!((rows * step + residual).norm() < 1e-12);
         let inverse = (rows.transpose() * rows).try_inverse().unwrap();
-        let found: Matrix2<f64> = normal.covariance(1).unwrap();
-        assert!((found - inverse.fixed_view::<2, 2>(1, 1)).norm() < 1e-12);
+        let variances = normal.variances(&[3, 0, 2]).unwrap();
+        assert!((variances[0] - inverse[(3, 3)]).abs() < 1e-12);
+        assert!((variances[1] - inverse[(0, 0)]).abs() < 1e-12);
+        assert!((variances[2] - inverse[(2, 2)]).abs() < 1e-12);
+        assert!(normal.variances(&[4]).is_none());
         // Damped without bound, the step is none.
         assert!(normal.solve(1e12, 1.0).unwrap().iter().all(|x| x.abs() < 1e-9));
     }
