@@ -46,6 +46,19 @@ pub enum Error {
     /// The inertial unit's recording.
     #[error(transparent)]
     Inertial(#[from] vergence_inertial::Error),
+    /// Pictures or knobs that the tracker cannot take.
+    #[error(transparent)]
+    Vision(#[from] vergence_vision::Error),
+    /// A knob of the estimator outside of its range.
+    #[error("{name}: expected {expected}, found {found}")]
+    Knob {
+        /// Its name.
+        name: &'static str,
+        /// Its range.
+        expected: &'static str,
+        /// What was asked for.
+        found: f64,
+    },
     /// Two trajectories that cannot be compared.
     #[error("expected {expected}, found {found}")]
     Unmatched {

@@ -1,14 +1,18 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod bootstrap;
 pub mod dataset;
 mod error;
 pub mod evaluate;
 mod link;
 mod odometry;
+mod one_camera;
 mod params;
+pub mod playback;
 mod shrink;
 mod sighting;
+mod tracking;
 pub mod trajectory;
 mod window;
 
@@ -17,3 +21,4 @@ pub use link::Motion;
 pub use odometry::{Estimate, Odometry, State};
 pub use params::{Inertial, Params};
 pub use sighting::Sighting;
+pub use tracking::Tracking;

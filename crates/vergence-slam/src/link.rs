@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use vergence_geom::{Rigid, advance, left_jacobian_inverse, log, right_jacobian, right_jacobian_inverse};
 use vergence_inertial::motion::Earth;
-use vergence_inertial::preintegrate::{Biases, Course, Preintegrated};
+use vergence_inertial::preintegrate::{Biases, Course, NoiseDensities, Preintegrated};
 use vergence_time::Span;
 
 use crate::params::{Inertial, Params};
@@ -59,6 +59,8 @@ pub(crate) struct Held {
     pub(crate) gyr_rad_s: Vector3<f64>,
     pub(crate) acc_m_s2: Vector3<f64>,
     pub(crate) span: Span,
+    /// Made of a reading at the end of the gyroscope's range: the truth may be far beyond it.
+    pub(crate) saturated: bool,
 }
 
 /// Readings between two frames, summed up.
@@ -66,6 +68,7 @@ pub(crate) struct Held {
 pub(crate) struct Link {
     readings: Vec<Held>,
     sum: Preintegrated,
+    noise: NoiseDensities,
     at: Biases,
     /// Rows of the root of the information of position, velocity, rotation.
     root: SMatrix<f64, 9, 9>,
@@ -76,31 +79,33 @@ pub(crate) struct Link {
 
 /// Biases farther than this from those that were subtracted make the sum anew: rad/s, m/s².
 const FAR: (f64, f64) = (0.01, 0.1);
+/// White noise of a saturated gyroscope, rad/s/√Hz: an error of 4 rad/s held for 50 ms.
+const SATURATED: f64 = 1.0;
 
 impl Link {
     /// `None` where no reading could be used.
     pub(crate) fn new(readings: Vec<Held>, at: Biases, params: &Params, inertial: &Inertial) -> Option<Self> {
         let mut noise = inertial.noise;
-        let mut factor = params.noise_factor;
-        if readings.iter().any(|r| r.gyr_rad_s.amax() >= 0.99 * inertial.gyr_range_rad_s) {
-            factor *= 100.0;
+        noise.gyr_rad_s_rthz *= params.noise_factor;
+        noise.acc_m_s2_rthz *= params.noise_factor;
+        if readings.iter().any(|r| r.saturated) {
+            noise.gyr_rad_s_rthz = SATURATED;
         }
-        noise.gyr_rad_s_rthz *= factor;
-        noise.acc_m_s2_rthz *= factor;
         let mut link = Self {
             readings,
             sum: Preintegrated::new(at, noise),
+            noise,
             at,
             root: SMatrix::zeros(),
             gyr_walk: inertial.gyr_walk,
             acc_walk: inertial.acc_walk,
             gravity: params.gravity(),
         };
-        link.integrate(at, noise).then_some(link)
+        link.integrate(at).then_some(link)
     }
 
-    fn integrate(&mut self, at: Biases, noise: vergence_inertial::preintegrate::NoiseDensities) -> bool {
-        self.sum = Preintegrated::new(at, noise);
+    fn integrate(&mut self, at: Biases) -> bool {
+        self.sum = Preintegrated::new(at, self.noise);
         self.at = at;
         for held in &self.readings {
             // What is not finite is left out; its span is missing from the sum and is not bridged.
@@ -122,15 +127,11 @@ impl Link {
     }
 
     /// Sums anew where the biases have moved far since.
-    pub(crate) fn refresh(
-        &mut self,
-        biases: &Biases,
-        noise: vergence_inertial::preintegrate::NoiseDensities,
-    ) {
+    pub(crate) fn refresh(&mut self, biases: &Biases) {
         let gyr = (biases.gyr_rad_s - self.at.gyr_rad_s).norm();
         let acc = (biases.acc_m_s2 - self.at.acc_m_s2).norm();
         if gyr > FAR.0 || acc > FAR.1 {
-            self.integrate(*biases, noise);
+            self.integrate(*biases);
         }
     }
 
@@ -156,6 +157,20 @@ impl Link {
         let end = self.sum.follow(&start, &self.sum.at_biases(&motion.biases), &earth);
         let pose = Rigid::from_parts(end.position_m.into(), end.world_from_body);
         (pose, Motion { velocity_m_s: end.velocity_m_s, biases: motion.biases })
+    }
+
+    /// s.
+    pub(crate) fn seconds(&self) -> f64 {
+        self.sum.seconds()
+    }
+
+    /// As [`Self::follow`], without gravity.
+    pub(crate) fn follow_free(&self, pose: &Rigid, motion: &Motion) -> (Rigid, Motion) {
+        let (pose, mut motion) = self.follow(pose, motion);
+        let t = self.sum.seconds();
+        motion.velocity_m_s -= self.gravity * t;
+        let position = pose.translation.vector - self.gravity * (0.5 * t * t);
+        (Rigid::from_parts(position.into(), pose.rotation), motion)
     }
 
     /// Not whitened: position, velocity, rotation, gyroscope's bias, accelerometer's bias.
@@ -255,6 +270,7 @@ mod tests {
                 gyr_rad_s: Vector3::new(v[0] + 0.1 * f64::from(k), v[1], v[2]),
                 acc_m_s2: Vector3::new(v[3], 9.0 + v[4], v[5] - 0.2 * f64::from(k)),
                 span: Span::from_millis(5),
+                saturated: false,
             })
             .collect();
         let params = Params::default();

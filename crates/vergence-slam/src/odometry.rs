@@ -32,6 +32,22 @@ pub enum State {
     Lost,
 }
 
+impl State {
+    /// In words: what it is, and what it waits for.
+    pub fn says(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting for the first frame",
+            Self::FindingGravity => {
+                "provisional: gravity and velocity are being found; standing still or moving for a second helps"
+            }
+            Self::FindingDepth => "provisional: distances are not known yet; moving sideways helps",
+            Self::Tracked => "tracked",
+            Self::Coasting => "carried by the inertial unit: too few points are seen",
+            Self::Lost => "lost: nothing is seen that holds the pose",
+        }
+    }
+}
+
 /// One frame's answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimate {
@@ -60,16 +76,18 @@ pub struct Estimate {
 /// Sliding-window odometry; see the crate's page. Feed readings and frames in the order of time.
 #[derive(Debug)]
 pub struct Odometry {
-    window: Window,
+    pub(crate) window: Window,
     readings: VecDeque<(Timestamp, Imu)>,
     known: HashMap<u64, usize>,
     refused: HashMap<u64, u64>,
+    just_refused: Vec<u64>,
     normal: Normal,
     shrink: Shrink,
     next_id: u64,
-    settled: bool,
+    pub(crate) settled: bool,
     since_keyframe: usize,
     unseen: usize,
+    adrift: usize,
     last: Option<Estimate>,
     biases: Biases,
 }
@@ -81,6 +99,11 @@ const MOST_UNSEEN: usize = 40;
 /// Gravity is known when its direction is known this well, rad.
 const GRAVITY_RAD: f64 = 0.03;
 
+/// Frames in a row of which most points had to be thrown away: what is estimated is not what is seen.
+const ADRIFT: usize = 3;
+/// Points that say so little of the velocity (standard deviation, m/s) hold no position: they are too far away.
+const UNKNOWN_M_S: f64 = 0.3;
+
 impl Odometry {
     /// For a rig whose cameras sit so on the body (the inertial unit's frame; cameras x right, y down, z forward).
     pub fn new(params: Params, body_from_cameras: Vec<Rigid>) -> Self {
@@ -91,12 +114,14 @@ impl Odometry {
             readings: VecDeque::new(),
             known: HashMap::new(),
             refused: HashMap::new(),
+            just_refused: Vec::new(),
             normal: Normal::default(),
             shrink: Shrink::default(),
             next_id: 0,
             settled: false,
             since_keyframe: 0,
             unseen: 0,
+            adrift: 0,
             last: None,
             biases: Biases::default(),
         }
@@ -126,6 +151,34 @@ impl Odometry {
     pub fn predict(&self, time: Timestamp) -> Option<Rigid> {
         let last = self.window.frames.last()?;
         Some(self.predicted(last, time).0)
+    }
+
+    /// Where the latest frame of the window is.
+    pub fn last_pose(&self) -> Option<Rigid> {
+        self.window.frames.last().map(|f| f.pose)
+    }
+
+    /// Where the points that the latest frame saw are expected at `world_from_body`: track, camera, and the direction in that camera
+    /// (its length means nothing), in order of track and camera.
+    pub fn expected(&self, world_from_body: &Rigid, into: &mut Vec<(u64, usize, Vector3<f64>)>) {
+        into.clear();
+        let Some(last) = self.window.frames.len().checked_sub(1) else { return };
+        for point in self.window.points.iter().filter(|p| p.seen.last().is_some_and(|o| o.slot == last)) {
+            let host = &self.window.frames[point.host_slot].pose;
+            let relative = world_from_body.inv_mul(host);
+            let from = &self.window.cameras[usize::from(point.camera)];
+            for (index, camera) in self.window.cameras.iter().enumerate() {
+                let carried =
+                    Way::new(&relative, from, camera).carry(&point.direction, point.inverse_distance);
+                into.push((point.track, index, carried));
+            }
+        }
+        into.sort_unstable_by_key(|e| (e.0, e.1));
+    }
+
+    /// Tracks whose points were thrown away after the last frame, in order.
+    pub fn refused(&self) -> &[u64] {
+        &self.just_refused
     }
 
     fn predicted(&self, last: &Frame, time: Timestamp) -> (Rigid, Option<Motion>, Option<Link>) {
@@ -163,6 +216,8 @@ impl Odometry {
     /// Readings that hold between two instants: the mean of each pair of neighbours, cut at both ends.
     fn held(&self, from: Timestamp, to: Timestamp) -> Vec<Held> {
         let nanos = |t: Timestamp| t.as_nanos();
+        let range = self.window.params.inertial.map_or(f64::INFINITY, |i| 0.99 * i.gyr_range_rad_s);
+        let beyond = |r: &(Timestamp, Imu)| r.1.gyr_rad_s.amax() >= range;
         let at = |a: &(Timestamp, Imu), b: &(Timestamp, Imu), t: i64| {
             let share = (t - nanos(a.0)) as f64 / (nanos(b.0) - nanos(a.0)) as f64;
             (a.1.gyr_rad_s.lerp(&b.1.gyr_rad_s, share), a.1.acc_m_s2.lerp(&b.1.acc_m_s2, share))
@@ -186,6 +241,7 @@ impl Odometry {
                     gyr_rad_s: a.1.gyr_rad_s,
                     acc_m_s2: a.1.acc_m_s2,
                     span: Span::from_nanos(begin - end),
+                    saturated: beyond(a),
                 });
             }
             let ((ga, aa), (gb, ab)) = (at(a, b, begin), at(a, b, stop));
@@ -193,6 +249,7 @@ impl Odometry {
                 gyr_rad_s: (ga + gb) * 0.5,
                 acc_m_s2: (aa + ab) * 0.5,
                 span: Span::from_nanos(stop - begin),
+                saturated: beyond(a) || beyond(b),
             });
             end = stop;
         }
@@ -203,6 +260,7 @@ impl Odometry {
                     gyr_rad_s: last.1.gyr_rad_s,
                     acc_m_s2: last.1.acc_m_s2,
                     span: Span::from_nanos(late),
+                    saturated: beyond(last),
                 });
             }
         }
@@ -310,16 +368,24 @@ impl Odometry {
         let keyframe = first
             || (few && self.since_keyframe >= params.keyframe_gap)
             || (known < 2 * FEWEST && tracks > known);
-        if !first {
+        let ready = self.ready_for_points();
+        let begins = ready && self.window.cameras.len() == 1 && self.window.points.is_empty();
+        let blind = self.window.points.is_empty() && !ready;
+        if !(first || begins || blind) {
             self.solve(if self.settled { params.iterations } else { 3 * params.iterations });
         }
         let outliers = self.drop_outliers();
-        if keyframe {
+        if (keyframe || begins) && (ready || first) {
             self.since_keyframe = 0;
             self.make_points();
+            if begins && !first {
+                self.solve(5 * params.iterations);
+            }
         }
-        let (position_sigma_m, rotation_sigma_rad) = self.sigmas(first);
-        let state = self.judge(known);
+        let [position_sigma_m, rotation_sigma_rad, velocity_sigma_m_s] =
+            if blind && !first { [f64::INFINITY; 3] } else { self.sigmas(first) };
+        self.adrift = if outliers > known.saturating_sub(outliers) { self.adrift + 1 } else { 0 };
+        let state = self.judge(known, velocity_sigma_m_s);
         let last = self.window.frames.last().expect("a frame was pushed above");
         let motion = last.motion_now();
         self.biases = motion.biases;
@@ -342,16 +408,10 @@ impl Odometry {
     }
 
     fn solve(&mut self, iterations: usize) {
-        let Some(inertial) = self.window.params.inertial else {
-            return self.minimise(iterations);
-        };
-        let mut noise = inertial.noise;
-        noise.gyr_rad_s_rthz *= self.window.params.noise_factor;
-        noise.acc_m_s2_rthz *= self.window.params.noise_factor;
         for slot in 1..self.window.frames.len() {
             let biases = self.window.frames[slot - 1].motion_now().biases;
             if let Some(link) = &mut self.window.frames[slot].link {
-                link.refresh(&biases, noise);
+                link.refresh(&biases);
             }
         }
         self.minimise(iterations);
@@ -390,7 +450,7 @@ impl Odometry {
         let limit = self.window.params.outlier_px;
         let mut points = std::mem::take(&mut self.window.points);
         let last = self.window.frames.last().map_or(0, |f| f.id);
-        let mut refused = 0;
+        self.just_refused.clear();
         for point in &mut points {
             let seen = std::mem::take(&mut point.seen);
             let fine = |o: &Observation| self.window.residual_px(point, o).is_some_and(|r| r < limit);
@@ -402,14 +462,15 @@ impl Odometry {
             if now_lost || host_lost || point.seen.len() < 2 {
                 point.seen.clear();
                 self.refused.insert(point.track, last);
-                refused += 1;
+                self.just_refused.push(point.track);
             }
         }
         points.retain(|p| !p.seen.is_empty());
         self.window.points = points;
         self.window.number();
         self.index();
-        refused
+        self.just_refused.sort_unstable();
+        self.just_refused.len()
     }
 
     fn index(&mut self) {
@@ -507,19 +568,26 @@ impl Odometry {
         fine.then_some(inverse)
     }
 
-    /// Standard deviations of the latest pose, by the equations of the last solution.
-    fn sigmas(&self, first: bool) -> (f64, f64) {
-        let unknown = (f64::INFINITY, f64::INFINITY);
-        let at = 6 * (self.window.frames.len() - 1);
-        if first {
-            return self.window.anchor.map_or(unknown, |a| (a.position_m, a.tilt_rad.hypot(a.yaw_rad)));
+    /// Standard deviations of the latest position, rotation and velocity, by the equations of the last solution; infinite where it has
+    /// none.
+    fn sigmas(&mut self, first: bool) -> [f64; 3] {
+        let slot = self.window.frames.len() - 1;
+        if let (true, Some(a)) = (first, self.window.anchor) {
+            return [a.position_m, a.tilt_rad.hypot(a.yaw_rad), a.velocity_m_s];
         }
-        let Some(covariance) = self.normal.covariance::<6>(at) else { return unknown };
-        let root = |from: usize| (from..from + 3).map(|i| covariance[(i, i)]).sum::<f64>().sqrt();
-        (root(0), root(3))
+        let at = 6 * slot;
+        let root = |from: &[f64]| from.iter().sum::<f64>().sqrt();
+        let found = match self.window.motion_column(slot) {
+            Some(m) => self.normal.variances(&[at, at + 1, at + 2, at + 3, at + 4, at + 5, m, m + 1, m + 2]),
+            None => self
+                .normal
+                .variances(&[at, at + 1, at + 2, at + 3, at + 4, at + 5])
+                .map(|v| [v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0, 0.0]),
+        };
+        found.map_or([f64::INFINITY; 3], |v| [root(&v[..3]), root(&v[3..6]), root(&v[6..])])
     }
 
-    fn judge(&mut self, known: usize) -> State {
+    fn judge(&mut self, known: usize, velocity_sigma_m_s: f64) -> State {
         let params = self.window.params;
         let count = self.window.frames.len();
         self.unseen = if known >= FEWEST { 0 } else { self.unseen + 1 };
@@ -529,7 +597,9 @@ impl Odometry {
         if !self.settled {
             let tilt = match (params.inertial, self.window.anchor) {
                 (Some(_), Some(anchor)) if count == 1 => anchor.tilt_rad,
-                (Some(_), _) => self.normal.covariance::<3>(3).map_or(1.0, |c| c.trace().sqrt()),
+                (Some(_), _) => {
+                    self.normal.variances(&[3, 4, 5]).map_or(1.0, |v| v.iter().sum::<f64>().sqrt())
+                }
                 _ => 0.0,
             };
             let standing = self.window.frames.last().is_some_and(|f| f.still) && count > 2;
@@ -542,6 +612,8 @@ impl Odometry {
             }
         }
         match self.unseen {
+            _ if self.adrift >= ADRIFT => State::Lost,
+            0 if velocity_sigma_m_s > UNKNOWN_M_S => State::FindingDepth,
             0 => State::Tracked,
             n if params.inertial.is_some() && n < MOST_UNSEEN => State::Coasting,
             _ => State::Lost,

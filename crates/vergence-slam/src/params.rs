@@ -3,6 +3,8 @@
 use nalgebra::Vector3;
 use vergence_inertial::preintegrate::NoiseDensities;
 
+use crate::Error;
+
 /// What the inertial unit is taken to be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inertial {
@@ -82,6 +84,34 @@ impl Default for Params {
 }
 
 impl Params {
+    /// These, where each is in its range.
+    ///
+    /// # Errors
+    /// The first knob outside of its range.
+    pub fn checked(&self) -> Result<Self, Error> {
+        let check = |fine: bool, name, expected, found: f64| {
+            if fine { Ok(()) } else { Err(Error::Knob { name, expected, found }) }
+        };
+        let within = |x: f64, low: f64, high: f64| (low..=high).contains(&x);
+        check(within(self.noise_factor, 1.0, 100.0), "noise_factor", "1 to 100", self.noise_factor)?;
+        check(within(self.gravity_m_s2, 0.1, 30.0), "gravity_m_s2", "0.1 to 30", self.gravity_m_s2)?;
+        check(within(self.pixel_px, 0.01, 10.0), "pixel_px", "0.01 to 10", self.pixel_px)?;
+        check(within(self.huber, 0.5, 100.0), "huber", "0.5 to 100", self.huber)?;
+        check(within(self.outlier_px, 0.5, 100.0), "outlier_px", "0.5 to 100", self.outlier_px)?;
+        check(within(self.known_share, 0.0, 1.0), "known_share", "0 to 1", self.known_share)?;
+        let counts = [
+            (self.states, 2, 20, "states", "2 to 20"),
+            (self.keyframes, 2, 30, "keyframes", "2 to 30"),
+            (self.iterations, 1, 50, "iterations", "1 to 50"),
+            (self.first_frames, 3, 60, "first_frames", "3 to 60"),
+            (self.points, 10, 5000, "points", "10 to 5000"),
+        ];
+        for (value, low, high, name, expected) in counts {
+            check((low..=high).contains(&value), name, expected, value as f64)?;
+        }
+        Ok(*self)
+    }
+
     /// Acceleration of free fall in the world (y up).
     pub fn gravity(&self) -> Vector3<f64> {
         Vector3::new(0.0, -self.gravity_m_s2, 0.0)

@@ -5,19 +5,12 @@
 mod support;
 
 use nalgebra::Vector3;
-use support::{Run, Tracks, box_room, euroc, euroc_imu, run, tum};
+use support::{Run, Tracks, box_room, euroc, euroc_imu, run, skip, tum};
 use vergence_geom::Rigid;
 use vergence_inertial::motion::{Motion, Wander, WanderParams};
 use vergence_inertial::spline::SplineMotion;
 use vergence_slam::{Odometry, Params, State};
 use vergence_time::{Span, Timestamp};
-
-/// What is missing is said; where it is required, it fails.
-fn skip(what: &str) {
-    let required = std::env::var("VERGENCE_REQUIRE").is_ok_and(|list| list.split(',').any(|w| w == "data"));
-    assert!(!required, "required: {what}");
-    println!("skipped: {what}");
-}
 
 fn motion(name: &str) -> Option<SplineMotion> {
     let folder = std::env::var_os("VERGENCE_DATA")?;
@@ -55,18 +48,6 @@ fn stereo_inertial(motion: &SplineMotion, seconds: f64) -> Run {
     run(&mut odometry, motion, &euroc_imu(3), &mut tracks, motion.start(), seconds, 20.0)
 }
 
-fn print(name: &str, run: &Run) {
-    let last = run.estimates.last().unwrap();
-    let keyframes = run.estimates.iter().filter(|e| e.keyframe).count();
-    let tracked = run.estimates.iter().position(|e| e.state == State::Tracked);
-    println!(
-        "{name}: ATE {:.4} m, {:.2} ms/frame, sigma {:.4} m, {keyframes} keyframes, tracked from frame {tracked:?}",
-        run.ate_m(),
-        run.mean_ms(),
-        last.position_sigma_m
-    );
-}
-
 /// Over the whole 80 s (VERGENCE_SLAM_LONG=1): 0.0102, 0.0164, 0.0220, 0.0067 m. A peer's simulator of the same kind
 /// (OpenVINS) has 0.034, 0.012 and 0.025 m on the first three.
 #[test]
@@ -81,7 +62,7 @@ fn true_flights_with_a_pixel_of_noise() {
         let Some(motion) = motion(name) else { return skip("no trajectories") };
         let length = motion.end().since(motion.start()).unwrap().as_secs_f64().min(80.0);
         let run = stereo_inertial(&motion, if long { length } else { seconds });
-        print(name, &run);
+        run.print(name);
         assert!(run.ate_m() < bar_m, "{name}: {} m", run.ate_m());
         assert!(run.estimates.iter().all(|e| e.state != State::Lost));
         // Gravity within two seconds, whether it starts in motion or not.
@@ -99,6 +80,6 @@ fn a_made_up_motion_without_any_data() {
         .map(|t| (t, wander.at(t).world_from_body))
         .collect();
     let run = stereo_inertial(&SplineMotion::new(&poses, Span::from_millis(50)).unwrap(), 10.0);
-    print("made up", &run);
+    run.print("made up");
     assert!(run.ate_m() < 0.012, "{}", run.ate_m());
 }

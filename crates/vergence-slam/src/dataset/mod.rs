@@ -116,6 +116,17 @@ impl Dataset {
         files.map(|(path, camera)| read_gray(path, camera.size_px)).collect()
     }
 
+    /// The picture of one camera of frame `index`, grey.
+    ///
+    /// # Errors
+    /// As [`Self::pictures`].
+    ///
+    /// # Panics
+    /// Where there is no such frame or camera.
+    pub fn picture(&self, index: usize, camera: usize) -> Result<Picture, Error> {
+        read_gray(&self.frames[index].pictures[camera], self.cameras[camera].size_px)
+    }
+
     /// The depth picture of frame `index`, where there is one.
     ///
     /// # Errors

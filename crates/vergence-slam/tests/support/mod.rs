@@ -1,13 +1,29 @@
 //! Simulated tracks: true motions, points on the walls of a box, noise; and the error after alignment.
 
+#![allow(dead_code, reason = "each test takes what it needs")]
+#![allow(clippy::unwrap_used, reason = "in a test, what is missing fails it")]
+
 use std::collections::HashMap;
 
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector2, Vector3};
 use vergence_geom::{Camera, Distortion, Lens, Rigid};
 use vergence_inertial::model::{ImuModel, Triad};
 use vergence_inertial::motion::{Earth, Motion};
-use vergence_slam::{Estimate, Odometry, Sighting};
+use vergence_slam::{Estimate, Odometry, Sighting, State};
 use vergence_time::{Span, Timestamp};
+
+/// What is missing is said; where it is required, it fails.
+pub fn skip(what: &str) {
+    let required = std::env::var("VERGENCE_REQUIRE").is_ok_and(|list| list.split(',').any(|w| w == "data"));
+    assert!(!required, "required: {what}");
+    println!("skipped: {what}");
+}
+
+/// A folder of recordings.
+pub fn recording(name: &str) -> Option<std::path::PathBuf> {
+    let folder = std::path::PathBuf::from(std::env::var_os("VERGENCE_DATA")?).join("slam").join(name);
+    folder.is_dir().then_some(folder)
+}
 
 /// EuRoC's two cameras.
 pub fn euroc() -> Vec<Camera> {
@@ -126,6 +142,10 @@ pub struct Tracks {
     pub noise_px: f64,
     pub dice: Noise,
     pub depth: bool,
+    pub blind: std::ops::Range<usize>,
+    pub dropped: std::ops::Range<usize>,
+    /// Added to every time that is told.
+    pub epoch_ns: i64,
     tracks: HashMap<usize, u64>,
     next: u64,
 }
@@ -145,6 +165,9 @@ impl Tracks {
             noise_px,
             dice: Noise(seed),
             depth: false,
+            blind: 0..0,
+            dropped: 0..0,
+            epoch_ns: 0,
             tracks: HashMap::new(),
             next: 0,
         }
@@ -221,6 +244,7 @@ pub fn cpu_ms() -> f64 {
     t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 * 1e-6
 }
 
+#[derive(Default)]
 pub struct Run {
     pub estimates: Vec<Estimate>,
     pub truth: Vec<Rigid>,
@@ -239,19 +263,26 @@ pub fn run(
 ) -> Run {
     let earth = Earth { gravity_m_s2: Vector3::new(0.0, 0.0, -9.80665), field_ut: Vector3::zeros() };
     let mut out = Run { estimates: Vec::new(), truth: Vec::new(), frame_ms: Vec::new() };
+    let epoch = Span::from_nanos(tracks.epoch_ns);
     let mut next = imu.index_at(from).saturating_sub(4);
     for k in 0..(seconds * rate_hz) as i64 {
         let time = from.saturating_add(Span::from_nanos((k as f64 * 1e9 / rate_hz) as i64));
         while imu.time(next) < time.saturating_add(Span::from_millis(6)) {
             if let Some(sample) = imu.read(next, motion, &earth) {
-                odometry.imu(sample.captured, &sample.value);
+                odometry.imu(sample.captured.saturating_add(epoch), &sample.value);
             }
             next += 1;
         }
         let pose = motion.at(time).world_from_body;
-        let seen = tracks.see(&pose);
+        if tracks.dropped.contains(&(k as usize)) {
+            continue;
+        }
+        let mut seen = tracks.see(&pose);
+        if tracks.blind.contains(&(k as usize)) {
+            seen.clear();
+        }
         let start = cpu_ms();
-        out.estimates.push(odometry.frame(time, &seen));
+        out.estimates.push(odometry.frame(time.saturating_add(epoch), &seen));
         out.frame_ms.push(cpu_ms() - start);
         out.truth.push(pose);
     }
@@ -259,8 +290,8 @@ pub fn run(
 }
 
 impl Run {
-    /// Root mean square of the positions after alignment (Umeyama without scale), m.
-    pub fn ate_m(&self) -> f64 {
+    /// Errors of the positions after alignment (Umeyama without scale), m.
+    pub fn errors_m(&self) -> Vec<f64> {
         let n = self.truth.len() as f64;
         let a: Vec<Vector3<f64>> =
             self.estimates.iter().map(|e| e.world_from_body.translation.vector).collect();
@@ -271,7 +302,25 @@ impl Run {
         let (u, vt) = (svd.u.unwrap(), svd.v_t.unwrap());
         let sign = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * vt).determinant().signum()));
         let r = u * sign * vt;
-        (a.iter().zip(&b).map(|(a, b)| (r * (a - ma) - (b - mb)).norm_squared()).sum::<f64>() / n).sqrt()
+        a.iter().zip(&b).map(|(a, b)| (r * (a - ma) - (b - mb)).norm()).collect()
+    }
+
+    /// Root mean square of these, m.
+    pub fn ate_m(&self) -> f64 {
+        let errors = self.errors_m();
+        (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt()
+    }
+
+    pub fn print(&self, name: &str) {
+        let last = self.estimates.last().unwrap();
+        let keyframes = self.estimates.iter().filter(|e| e.keyframe).count();
+        let tracked = self.estimates.iter().position(|e| e.state == State::Tracked);
+        println!(
+            "{name}: ATE {:.4} m, {:.2} ms/frame, sigma {:.4} m, {keyframes} keyframes, tracked from frame {tracked:?}",
+            self.ate_m(),
+            self.mean_ms(),
+            last.position_sigma_m
+        );
     }
 
     pub fn mean_ms(&self) -> f64 {

@@ -1,0 +1,182 @@
+//! How odometry begins with one camera: nothing to do with a second one or with depth.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use vergence_geom::Rigid;
+use vergence_inertial::preintegrate::Biases;
+
+use crate::bootstrap::{Flight, Pair, two_views};
+use crate::link::{Link, Motion};
+use crate::odometry::Odometry;
+use crate::sighting::Sighting;
+use crate::window::Window;
+
+/// Corners must have moved by this much in the middle before two views are tried, pixels.
+const PARALLAX_PX: f64 = 25.0;
+/// Corners that both views must share.
+const SHARED: usize = 30;
+/// Frames between two attempts at velocity and gravity; the span before the first, and the longest that an attempt takes, s.
+const EVERY: u64 = 4;
+const SPAN_S: (f64, f64) = (0.7, 2.5);
+/// Views and corners that an attempt takes.
+const VIEWS: usize = 10;
+const CORNERS: usize = 40;
+
+fn same(seen: &[Sighting], track: u64) -> Option<&Sighting> {
+    seen.binary_search_by_key(&(track, 0), |s| (s.track, s.camera)).ok().map(|i| &seen[i])
+}
+
+impl Odometry {
+    /// Whether points may be made at the latest frame. With one camera and none yet: once the relative pose of two views, or
+    /// velocity and gravity, are found; the frames of the window are put there.
+    pub(crate) fn ready_for_points(&mut self) -> bool {
+        let window = &self.window;
+        let depth = window.frames.iter().any(|f| f.seen.iter().any(|s| s.depth_m.is_some()));
+        if window.cameras.len() != 1 || depth || !window.points.is_empty() || self.settled {
+            return true;
+        }
+        if window.params.inertial.is_some() { self.fly() } else { self.look() }
+    }
+
+    /// Standard deviation of a direction, rad.
+    fn direction_rad(&self) -> f64 {
+        let seen = self.window.frames.last().and_then(|f| f.seen.first());
+        let px_per_rad = seen.map_or(400.0, |s| s.px_by_direction.norm() / std::f64::consts::SQRT_2);
+        self.window.params.pixel_px / px_per_rad.max(1.0)
+    }
+
+    /// Images alone: the first frame of the window and the latest one; those between are let go.
+    fn look(&mut self) -> bool {
+        let rad = self.direction_rad();
+        let count = self.window.frames.len();
+        if count < 2 {
+            return false;
+        }
+        if count > 2 {
+            self.window.frames.remove(count - 2);
+            self.window.number();
+        }
+        let [first, last] = &self.window.frames[..] else { return false };
+        let mut pairs: Vec<Pair> = Vec::new();
+        let mut moved = Vec::new();
+        for s in &last.seen {
+            if let Some(then) = same(&first.seen, s.track) {
+                pairs.push((then.direction, s.direction));
+                moved.push((s.px_by_direction * then.direction).norm());
+            }
+        }
+        if pairs.len() < SHARED {
+            // Too little is left of the first view: this one takes its place.
+            let last = self.window.frames.remove(1);
+            let id = last.id;
+            self.window.frames[0] = last;
+            if let Some(anchor) = &mut self.window.anchor {
+                anchor.frame = id;
+                anchor.pose = self.window.frames[0].pose;
+            }
+            self.window.frames[0].keyframe = true;
+            self.window.number();
+            return false;
+        }
+        let middle = moved.len() / 2;
+        if *moved.select_nth_unstable_by(middle, f64::total_cmp).1 < PARALLAX_PX {
+            return false;
+        }
+        let Some(first_from_last) = two_views(&pairs, rad) else { return false };
+        let camera = self.window.cameras[0];
+        let pose = self.window.frames[0].pose * camera * first_from_last * camera.inverse();
+        self.window.frames[0].keyframe = true;
+        let last = &mut self.window.frames[1];
+        last.pose = pose;
+        last.guess = Some(pose);
+        true
+    }
+
+    /// With an inertial unit: velocity and gravity from a second or two of flight. Where it stands still, the velocity is known.
+    fn fly(&mut self) -> bool {
+        let found = self.flown();
+        if !found {
+            // Nothing says where it went: it is said to be where it was, and the oldest frame is let go.
+            let long = |w: &Window| match &w.frames[..] {
+                [first, .., last] => last.time.since(first.time).is_some_and(|s| s.as_secs_f64() > SPAN_S.1),
+                _ => false,
+            };
+            let place = self.window.frames[0].pose.translation;
+            while long(&self.window) {
+                self.window.frames.remove(0);
+                let first = &mut self.window.frames[0];
+                first.link = None;
+                if let Some(anchor) = &mut self.window.anchor {
+                    (anchor.frame, anchor.pose) = (first.id, first.pose);
+                    anchor.pose.translation = place;
+                    anchor.motion = first.motion_now();
+                    anchor.tilt_rad = 0.3;
+                    anchor.velocity_m_s = 3.0;
+                }
+            }
+            for frame in &mut self.window.frames {
+                frame.pose.translation = place;
+                if let Some(motion) = &mut frame.motion {
+                    motion.velocity_m_s = Vector3::zeros();
+                }
+            }
+            self.window.number();
+        }
+        found
+    }
+
+    fn flown(&mut self) -> bool {
+        let count = self.window.frames.len();
+        let (first, last) = (&self.window.frames[0], &self.window.frames[count - 1]);
+        if count < 2 || self.window.frames.iter().filter(|f| f.still).count() * 2 > count {
+            return count > 1;
+        }
+        let span = last.time.since(first.time).map_or(0.0, |s| s.as_secs_f64());
+        if span < SPAN_S.0 || !last.id.is_multiple_of(EVERY) {
+            return false;
+        }
+        let links: Option<Vec<&Link>> = self.window.frames[1..].iter().map(|f| f.link.as_ref()).collect();
+        let Some(links) = links else { return false };
+        let camera = self.window.cameras[0];
+        let stride = (count - 1).div_ceil(VIEWS).max(1);
+        let mut tracks = Vec::new();
+        for s in &last.seen {
+            let views: Vec<_> = (0..count)
+                .rev()
+                .step_by(stride)
+                .filter_map(|k| Some((k, same(&self.window.frames[k].seen, s.track)?)))
+                .map(|(k, s)| (k, camera.rotation * s.direction, camera.translation.vector))
+                .collect();
+            if views.len() >= 4 && tracks.len() < CORNERS {
+                tracks.push(views);
+            }
+        }
+        let params = self.window.params;
+        let flight = Flight { links, tracks, gravity_m_s2: params.gravity_m_s2, rad: self.direction_rad() };
+        let guess = first.motion_now().biases.gyr_rad_s;
+        let fine = (flight.tracks.len() >= CORNERS / 2)
+            .then(|| flight.start(&guess))
+            .flatten()
+            .filter(|s| s.misfit < 4.0 && s.velocity_sigma_m_s < 0.1 + 0.2 * s.velocity_m_s.norm());
+        let Some(start) = fine else { return false };
+        let Some(level) = UnitQuaternion::rotation_between(&-start.gravity_m_s2, &Vector3::y()) else {
+            return false;
+        };
+        let biases = Biases { gyr_rad_s: start.gyr_bias_rad_s, acc_m_s2: start.acc_bias_m_s2 };
+        let mut pose = Rigid::from_parts(first.pose.translation, level);
+        let mut motion = Motion { velocity_m_s: level * start.velocity_m_s, biases };
+        if let Some(anchor) = &mut self.window.anchor {
+            anchor.pose = pose;
+            anchor.motion = motion;
+            anchor.tilt_rad = 0.1;
+            anchor.velocity_m_s = 0.5;
+        }
+        for frame in &mut self.window.frames {
+            if let Some(link) = &frame.link {
+                (pose, motion) = link.follow(&pose, &motion);
+            }
+            frame.pose = pose;
+            frame.motion = Some(motion);
+        }
+        true
+    }
+}

@@ -1,0 +1,113 @@
+//! Pictures and inertial readings in, poses out: the tracker and the estimator joined.
+
+use nalgebra::{UnitQuaternion, Vector2};
+use vergence_geom::Camera;
+use vergence_sense::Imu;
+use vergence_time::Timestamp;
+use vergence_vision::{Gray, Prediction, TrackId, Tracker, TrackerKnobs};
+
+use crate::Error;
+use crate::dataset::Depth;
+use crate::odometry::{Estimate, Odometry};
+use crate::params::Params;
+use crate::sighting::Sighting;
+
+/// The depth at a pixel, m, if its neighbours agree that it lies on one surface (within 3 %).
+fn depth_at(depth: &Depth, pixel: &Vector2<f64>) -> Option<f64> {
+    let (x, y) = (pixel.x.round(), pixel.y.round());
+    if !(x >= 1.0 && y >= 1.0 && x + 1.0 < depth.width as f64 && y + 1.0 < depth.height as f64) {
+        return None;
+    }
+    let (x, y) = (x as usize, y as usize);
+    let read =
+        |column: usize, row: usize| depth.metres.get(row * depth.width + column).copied().unwrap_or(0.0);
+    let centre = read(x, y);
+    let (mut low, mut high) = (centre, centre);
+    for row in y - 1..=y + 1 {
+        for column in x - 1..=x + 1 {
+            let value = read(column, row);
+            (low, high) = (low.min(value), high.max(value));
+        }
+    }
+    (low > 0.0 && high.is_finite() && high - low < 0.03 * centre).then(|| f64::from(centre))
+}
+
+/// A rig that is followed.
+#[derive(Debug)]
+pub struct Tracking {
+    rig: Vec<Camera>,
+    tracker: Tracker,
+    odometry: Odometry,
+    expected: Vec<(u64, usize, nalgebra::Vector3<f64>)>,
+    pixels: Vec<(TrackId, usize, Vector2<f64>)>,
+    sightings: Vec<Sighting>,
+    refused: Vec<TrackId>,
+}
+
+impl Tracking {
+    /// For the cameras of `rig`, whose body is the inertial unit's frame.
+    ///
+    /// # Errors
+    /// A knob of the tracker outside of its range; no camera or too many.
+    pub fn new(rig: &[Camera], knobs: TrackerKnobs, params: Params) -> Result<Self, Error> {
+        let params = params.checked()?;
+        Ok(Self {
+            rig: rig.to_vec(),
+            tracker: Tracker::new(rig, knobs)?,
+            odometry: Odometry::new(params, rig.iter().map(|c| c.body_from_camera).collect()),
+            expected: Vec::new(),
+            pixels: Vec::new(),
+            sightings: Vec::new(),
+            refused: Vec::new(),
+        })
+    }
+
+    /// The estimator.
+    pub fn odometry(&self) -> &Odometry {
+        &self.odometry
+    }
+
+    /// One inertial reading, in the body's frame; `false`, and it is left out, where it is not finite or not later than
+    /// the one before.
+    pub fn imu(&mut self, time: Timestamp, imu: &Imu) -> bool {
+        self.odometry.imu(time, imu)
+    }
+
+    /// One picture of each camera, and the first camera's depth where there is one. Readings up to `time` have been given.
+    ///
+    /// # Errors
+    /// Pictures that are not those of the rig.
+    pub fn frame(
+        &mut self,
+        time: Timestamp,
+        pictures: &[Gray],
+        depth: Option<&Depth>,
+    ) -> Result<Estimate, vergence_vision::Error> {
+        let mut now_from_before = UnitQuaternion::identity();
+        self.pixels.clear();
+        if let (Some(predicted), Some(last)) = (self.odometry.predict(time), self.odometry.last_pose()) {
+            now_from_before = predicted.rotation.inverse() * last.rotation;
+            self.odometry.expected(&predicted, &mut self.expected);
+            self.pixels.extend(self.expected.iter().filter_map(|(track, camera, direction)| {
+                Some((TrackId(*track), *camera, self.rig[*camera].lens.project(direction)?))
+            }));
+        }
+        let prediction = Prediction { now_from_before, pixels: &self.pixels };
+        let frame = self.tracker.track(pictures, &prediction)?;
+        self.sightings.clear();
+        for (index, (camera, list)) in self.rig.iter().zip(&frame.cameras).enumerate() {
+            for seen in list {
+                let sighting = Sighting::new(seen.track.0, index as u8, &seen.pixel, &camera.lens);
+                self.sightings.extend(sighting.map(|s| Sighting {
+                    depth_m: depth.filter(|_| index == 0).and_then(|d| depth_at(d, &seen.pixel)),
+                    ..s
+                }));
+            }
+        }
+        let estimate = self.odometry.frame(time, &self.sightings);
+        self.refused.clear();
+        self.refused.extend(self.odometry.refused().iter().map(|track| TrackId(*track)));
+        self.tracker.forget(&self.refused);
+        Ok(estimate)
+    }
+}
