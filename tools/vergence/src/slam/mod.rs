@@ -1,10 +1,11 @@
 //! `vergence slam`: where a rig is, and how well that is known; one file per verb.
 
 mod eval;
+pub mod run;
 
 use crate::failure::Failure;
 
-/// Visual-inertial odometry: its error against a truth
+/// Visual-inertial odometry: runs it, and its error against a truth
 #[derive(clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -14,6 +15,7 @@ pub struct Args {
 #[derive(clap::Subcommand)]
 enum Verb {
     Eval(eval::Args),
+    Run(Box<run::Args>),
 }
 
 impl Args {
@@ -21,6 +23,7 @@ impl Args {
     pub fn run(self) -> Result<(), Failure> {
         match self.verb {
             Verb::Eval(verb) => verb.run(),
+            Verb::Run(verb) => verb.run(),
         }
     }
 }
