@@ -11,6 +11,10 @@ use hidreport::{Field, Report, ReportDescriptor};
 const MOST_BYTES: usize = 4096;
 /// Of all reports together; a keyboard has 200, a pad with everything 400.
 const MOST_FIELDS: u64 = 8192;
+/// Of one main item, and of all: the parser lists each usage of a range.
+const MOST_USAGES: (u64, u64) = (1 << 16, 1 << 20);
+/// Of collections in collections, which the parser copies into each field.
+const DEEPEST: u32 = 32;
 /// Of one report, as of the kernel's buffers.
 const MOST_REPORT_BITS: u64 = 16384 * 8;
 
@@ -105,6 +109,7 @@ fn check(bytes: &[u8]) -> Result<(), String> {
     }
     let (mut size, mut count, mut report, mut stack) = (0u64, 0u64, 0u64, Vec::new());
     let (mut fields, mut report_bits) = (0u64, std::collections::BTreeMap::<u64, u64>::new());
+    let (mut usages, mut first_usage, mut last_usage, mut depth) = (0u64, 0u64, 0u64, 0u32);
     let mut at = 0;
     while let Some(&head) = bytes.get(at) {
         if head == 0xFE {
@@ -119,6 +124,11 @@ fn check(bytes: &[u8]) -> Result<(), String> {
             0x74 => size = value,
             0x94 => count = value,
             0x84 => report = value,
+            0x18 => first_usage = value,
+            0x28 => last_usage = value,
+            0xA0 if depth < DEEPEST => depth += 1,
+            0xA0 => return Err(format!("more than {DEEPEST} collections in one another")),
+            0xC0 => depth = depth.saturating_sub(1),
             0xA4 if stack.len() < 16 => stack.push((size, count, report)),
             0xA4 => return Err("more than 16 pushes".into()),
             0xB4 => match stack.pop() {
@@ -127,6 +137,12 @@ fn check(bytes: &[u8]) -> Result<(), String> {
             },
             // Input, output, feature.
             kind @ (0x80 | 0x90 | 0xB0) => {
+                // A range counts with each item, though it ends with the first: an upper bound is enough.
+                let range = (last_usage + 1).saturating_sub(first_usage);
+                usages += range;
+                if range > MOST_USAGES.0 || usages > MOST_USAGES.1 {
+                    return Err(format!("{usages} usages, at byte {at}"));
+                }
                 // Products of 32-bit numbers fit.
                 fields += count;
                 let bits = report_bits.entry(u64::from(kind) << 32 | report).or_default();
@@ -227,6 +243,12 @@ pub(super) mod tests {
         // Report Count 2^32 − 1.
         let hostile = [0x05, 0x01, 0x09, 0x30, 0x75, 0x20, 0x97, 0xFF, 0xFF, 0xFF, 0xFF, 0x81, 0x02];
         assert!(Layout::parse(&hostile).unwrap_err().contains("fields"));
+        // Usages 0 to 2^32 − 1.
+        let range =
+            [0x05, 0x01, 0x19, 0x00, 0x2B, 0xFF, 0xFF, 0xFF, 0xFF, 0x75, 0x08, 0x95, 0x01, 0x81, 0x02];
+        assert!(Layout::parse(&range).unwrap_err().contains("usages"));
+        let deep: Vec<u8> = [0x05, 0x01, 0x09, 0x30].into_iter().chain([0xA1, 0x00].repeat(33)).collect();
+        assert!(Layout::parse(&deep).unwrap_err().contains("collections"));
         for hostile in [vec![0x05], vec![0xFE, 1, 1, 1], vec![0xB4], vec![0xA4; 40], vec![0; 5000]] {
             assert!(Layout::parse(&hostile).is_err(), "{hostile:?}");
         }
