@@ -134,6 +134,11 @@ impl Entry<'_> {
                 found: format!("{} version {version}", self.stream.type_name()),
             });
         }
+        self.decode_again()
+    }
+
+    /// As [`Entry::decode`], where another message of the stream was decoded as this type: what a stream carries does not change.
+    pub(crate) fn decode_again<T: Message>(&self) -> Result<Sample<T>, Error> {
         T::decode(self.payload).map_err(|source| Error::Decode {
             path: self.path.to_owned(),
             at: self.place.offset,

@@ -120,12 +120,21 @@ impl Sink for SourceLane {
 pub struct LogSource {
     reader: Reader,
     streams: Vec<SourceStream>,
-    /// Place of the stream with each number of the file; unknown until it is met.
-    places: Vec<Option<usize>>,
+    /// Of the stream with each number of the file: what it carries. Unknown until it is met.
+    known: Vec<Option<Known>>,
     /// Read ahead of time.
     next: Option<(usize, Sample<Reading<'static>>)>,
     failure: Option<Error>,
     ended: bool,
+}
+
+/// What is known of a stream of the file.
+#[derive(Clone, Copy)]
+enum Known {
+    /// Its place and kind; a message was decoded as that.
+    Sample(usize, ReadingKind),
+    /// Nothing that sources have.
+    Other,
 }
 
 /// Which kind a recorded type is.
@@ -145,32 +154,35 @@ fn kind_of(stream: &StreamInfo) -> Option<ReadingKind> {
     })
 }
 
-fn decode(kind: ReadingKind, entry: &Entry<'_>) -> Result<Sample<Reading<'static>>, Error> {
+/// The first message of a stream is looked at more closely.
+fn decode(kind: ReadingKind, entry: &Entry<'_>, is_first: bool) -> Result<Sample<Reading<'static>>, Error> {
     fn as_reading<T: Message>(
         entry: &Entry<'_>,
+        is_first: bool,
         wrap: impl FnOnce(T) -> Reading<'static>,
     ) -> Result<Sample<Reading<'static>>, Error> {
-        let Sample { captured, arrived, value } = entry.decode::<T>()?;
+        let sample = if is_first { entry.decode::<T>() } else { entry.decode_again::<T>() };
+        let Sample { captured, arrived, value } = sample?;
         Ok(Sample { captured, arrived, value: wrap(value) })
     }
     match kind {
-        ReadingKind::Button => as_reading(entry, Reading::Button),
-        ReadingKind::Axis => as_reading(entry, Reading::Axis),
-        ReadingKind::Vector2 => as_reading(entry, Reading::Vector2),
-        ReadingKind::Touch => as_reading(entry, Reading::Touch),
-        ReadingKind::Scalar => as_reading(entry, Reading::Scalar),
-        ReadingKind::Imu => as_reading(entry, Reading::Imu),
-        ReadingKind::Pose => as_reading(entry, Reading::Pose),
-        ReadingKind::Gaze => as_reading(entry, Reading::Gaze),
-        ReadingKind::Image => as_reading::<Image<'static>>(entry, Reading::Image),
-        ReadingKind::Event => as_reading(entry, Reading::Event),
+        ReadingKind::Button => as_reading(entry, is_first, Reading::Button),
+        ReadingKind::Axis => as_reading(entry, is_first, Reading::Axis),
+        ReadingKind::Vector2 => as_reading(entry, is_first, Reading::Vector2),
+        ReadingKind::Touch => as_reading(entry, is_first, Reading::Touch),
+        ReadingKind::Scalar => as_reading(entry, is_first, Reading::Scalar),
+        ReadingKind::Imu => as_reading(entry, is_first, Reading::Imu),
+        ReadingKind::Pose => as_reading(entry, is_first, Reading::Pose),
+        ReadingKind::Gaze => as_reading(entry, is_first, Reading::Gaze),
+        ReadingKind::Image => as_reading::<Image<'static>>(entry, is_first, Reading::Image),
+        ReadingKind::Event => as_reading(entry, is_first, Reading::Event),
     }
 }
 
 impl LogSource {
     /// Of this log; streams become known as they are met.
     pub fn new(reader: Reader) -> Self {
-        Self { reader, streams: Vec::new(), places: Vec::new(), next: None, failure: None, ended: false }
+        Self { reader, streams: Vec::new(), known: Vec::new(), next: None, failure: None, ended: false }
     }
 
     /// Why the log could not be read to its end, once.
@@ -194,25 +206,29 @@ impl LogSource {
                     break;
                 }
             };
-            let Some(kind) = kind_of(entry.stream) else { continue };
             let id = usize::from(entry.stream.id);
-            if self.places.len() <= id {
-                self.places.resize(id + 1, None);
+            if self.known.len() <= id {
+                self.known.resize(id + 1, None);
             }
-            let place = match self.places[id] {
-                Some(place) => place,
+            let (place, kind, is_first) = match self.known[id] {
+                Some(Known::Sample(place, kind)) => (place, kind, false),
+                Some(Known::Other) => continue,
                 None => {
+                    let Some(kind) = kind_of(entry.stream) else {
+                        self.known[id] = Some(Known::Other);
+                        continue;
+                    };
                     let stream = SourceStream::new(entry.stream.name.trim_start_matches('/'), kind)
                         .unit(entry.stream.unit().to_owned())
                         .frame(entry.stream.frame().to_owned());
                     let place = self.streams.len();
                     sink.appears(place, &stream);
                     self.streams.push(stream);
-                    self.places[id] = Some(place);
-                    place
+                    self.known[id] = Some(Known::Sample(place, kind));
+                    (place, kind, true)
                 }
             };
-            match decode(kind, &entry) {
+            match decode(kind, &entry, is_first) {
                 Ok(sample) => return Some((place, sample)),
                 Err(error) => {
                     self.failure = Some(error);

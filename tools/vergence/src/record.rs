@@ -16,6 +16,8 @@ use crate::failure::Failure;
 
 /// Names us in the header of a log; what is replayed as a log of devices.
 const APPLICATION: &str = "vergence record";
+/// Of each device's queue: more than a second of two cameras, for a writer that the machine does not let run.
+const QUEUE_BYTES: usize = 32 << 20;
 /// How long a device may keep a thread that is asked to end.
 const ROUND: Span = Span::from_millis(100);
 
@@ -101,8 +103,8 @@ impl Args {
             .map(|d| format!("{} ({})", d.device.name, d.device.path))
             .collect::<Vec<_>>()
             .join(", ");
-        let recorder =
-            Recorder::create(&self.output, &header, &Options::default()).map_err(|e| log_failed(&e))?;
+        let options = Options { queue_bytes: QUEUE_BYTES, ..Options::default() };
+        let recorder = Recorder::create(&self.output, &header, &options).map_err(|e| log_failed(&e))?;
         let recorder = Arc::new(Mutex::new(recorder));
         let (samples, gaps) = (AtomicU64::new(0), AtomicU64::new(0));
         let mut lanes = Vec::new();

@@ -13,8 +13,9 @@ const MOST_BYTES: usize = 4096;
 const MOST_FIELDS: u64 = 8192;
 /// Of one main item, and of all: the parser lists each usage of a range.
 const MOST_USAGES: (u64, u64) = (1 << 16, 1 << 20);
-/// Of collections in collections, which the parser copies into each field.
+/// Of collections in collections, and of usages of one, which the parser copies into each field.
 const DEEPEST: u32 = 32;
+const MOST_USAGES_OF_COLLECTION: u64 = 32;
 /// Of one report, as of the kernel's buffers.
 const MOST_REPORT_BITS: u64 = 16384 * 8;
 
@@ -109,7 +110,9 @@ fn check(bytes: &[u8]) -> Result<(), String> {
     }
     let (mut size, mut count, mut report, mut stack) = (0u64, 0u64, 0u64, Vec::new());
     let (mut fields, mut report_bits) = (0u64, std::collections::BTreeMap::<u64, u64>::new());
-    let (mut usages, mut first_usage, mut last_usage, mut depth) = (0u64, 0u64, 0u64, 0u32);
+    // Of the next main item: the range of its usages, and how many are listed.
+    let (mut first_usage, mut last_usage, mut listed) = (None::<u64>, None::<u64>, 0u64);
+    let (mut usages, mut depth) = (0u64, 0u32);
     let mut at = 0;
     while let Some(&head) = bytes.get(at) {
         if head == 0xFE {
@@ -124,26 +127,40 @@ fn check(bytes: &[u8]) -> Result<(), String> {
             0x74 => size = value,
             0x94 => count = value,
             0x84 => report = value,
-            0x18 => first_usage = value,
-            0x28 => last_usage = value,
-            0xA0 if depth < DEEPEST => depth += 1,
-            0xA0 => return Err(format!("more than {DEEPEST} collections in one another")),
+            0x08 => listed += 1,
+            0x18 => first_usage = Some(value),
+            0x28 => last_usage = Some(value),
             0xC0 => depth = depth.saturating_sub(1),
-            0xA4 if stack.len() < 16 => stack.push((size, count, report)),
+            // The parser keeps what belongs to the next main item, too.
+            0xA4 if stack.len() < 16 => {
+                stack.push((size, count, report, first_usage, last_usage, listed));
+            }
             0xA4 => return Err("more than 16 pushes".into()),
             0xB4 => match stack.pop() {
-                Some(pushed) => (size, count, report) = pushed,
+                Some(pushed) => (size, count, report, first_usage, last_usage, listed) = pushed,
                 None => return Err(format!("a pop without a push at byte {at}")),
             },
-            // Input, output, feature.
-            kind @ (0x80 | 0x90 | 0xB0) => {
-                // A range counts with each item, though it ends with the first: an upper bound is enough.
-                let range = (last_usage + 1).saturating_sub(first_usage);
+            // Input, output, feature, collection.
+            kind @ (0x80 | 0x90 | 0xB0 | 0xA0) => {
+                let range = match (first_usage, last_usage) {
+                    (Some(first), Some(last)) => (last + 1).saturating_sub(first),
+                    _ => 0,
+                };
                 usages += range;
                 if range > MOST_USAGES.0 || usages > MOST_USAGES.1 {
                     return Err(format!("{usages} usages, at byte {at}"));
                 }
-                // Products of 32-bit numbers fit.
+                if kind == 0xA0 {
+                    depth += 1;
+                    if depth > DEEPEST || range.max(listed) > MOST_USAGES_OF_COLLECTION {
+                        let many = range.max(listed);
+                        return Err(format!(
+                            "{depth} collections in one another, {many} usages of one, at byte {at}"
+                        ));
+                    }
+                }
+                // Products of 32-bit numbers fit. A collection has none.
+                let count = if kind == 0xA0 { 0 } else { count };
                 fields += count;
                 let bits = report_bits.entry(u64::from(kind) << 32 | report).or_default();
                 *bits = bits.saturating_add(size * count);
@@ -152,6 +169,10 @@ fn check(bytes: &[u8]) -> Result<(), String> {
                 }
             }
             _ => {}
+        }
+        // Those ended what belongs to the next one.
+        if matches!(head & 0xFC, 0x80 | 0x90 | 0xA0 | 0xB0 | 0xC0) {
+            (first_usage, last_usage, listed) = (None, None, 0);
         }
         at += 1 + length;
     }
@@ -247,6 +268,12 @@ pub(super) mod tests {
         let range =
             [0x05, 0x01, 0x19, 0x00, 0x2B, 0xFF, 0xFF, 0xFF, 0xFF, 0x75, 0x08, 0x95, 0x01, 0x81, 0x02];
         assert!(Layout::parse(&range).unwrap_err().contains("usages"));
+        // A collection with 2^16 usages, around 8,000 fields.
+        let wide = [
+            0x05, 0x01, 0x19, 0x00, 0x2A, 0xFF, 0xFF, 0xA1, 0x01, 0x09, 0x30, 0x75, 0x08, 0x96, 0x40, 0x1F,
+            0x81, 0x02,
+        ];
+        assert!(Layout::parse(&wide).unwrap_err().contains("65536 usages of one"));
         let deep: Vec<u8> = [0x05, 0x01, 0x09, 0x30].into_iter().chain([0xA1, 0x00].repeat(33)).collect();
         assert!(Layout::parse(&deep).unwrap_err().contains("collections"));
         for hostile in [vec![0x05], vec![0xFE, 1, 1, 1], vec![0xB4], vec![0xA4; 40], vec![0; 5000]] {
