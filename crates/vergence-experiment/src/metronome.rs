@@ -54,9 +54,7 @@ impl std::str::FromStr for Sound {
             _ => {
                 let words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
                 if words.is_empty() {
-                    return Err(Error::Call(
-                        "--sound: expected auto, none or a program, found nothing".into(),
-                    ));
+                    return Err(Error::Call("expected auto, none or a program, found nothing".into()));
                 }
                 Ok(Self::Program(words))
             }

@@ -134,7 +134,8 @@ pub fn imported(logs: &[SessionLog]) -> Result<Imported, Error> {
             data.trials.push(own);
         }
         let name = log.path.file_name().unwrap_or_default().to_string_lossy();
-        warnings.extend(log.damage.iter().map(|damage| format!("{name}: {damage}")));
+        warnings
+            .extend(log.damage.iter().map(|damage| format!("{name}: {damage}; what is whole is analysed")));
     }
     if superseded > 0 {
         warnings.push(format!(

@@ -56,7 +56,9 @@ pub enum Error {
         expected: &'static str,
     },
     /// A column or attribute is missing.
-    #[error("line {line}: expected {column:?}, found none of that name")]
+    #[error(
+        "line {line}: expected a column {column:?}, found none of that name (a column map says which is which)"
+    )]
     Missing {
         /// Counted from 1.
         line: u64,

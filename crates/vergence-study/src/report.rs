@@ -85,9 +85,9 @@ pub fn page(
         ("convention", 0),
         ("value", 0),
         ("TP (bits/s)", 3),
-        ("change (%)", 2),
+        ("change (%)", 3),
         ("TP all dimensions", 3),
-        ("change all (%)", 2),
+        ("change all (%)", 3),
         ("left out", 0),
     ];
     let mut table =
@@ -97,7 +97,7 @@ pub fn page(
             number(value.zip(own).map(|(value, own)| 100.0 * (value / own - 1.0)))
         };
         let cells = vec![
-            Cell::Text(one.knob.to_owned()),
+            Cell::Text(if one.knob.is_empty() { "as above".to_owned() } else { one.knob.to_owned() }),
             Cell::Text(one.value.clone()),
             number(one.tp),
             change(one.tp, analysis.tp_mean_of_means()),
@@ -328,13 +328,13 @@ fn sequences(analysis: &Analysis) -> Table {
         ("n", 0, &|row| Some(row.n as f64)),
         ("MT", 3, &|row| row.ends.mt_s),
         ("misses (%)", 1, &|row| row.ends.error_rate.map(|rate| 100.0 * rate)),
+        ("IDe", 3, &|row| row.ends.x.ide),
+        ("TP", 3, &|row| row.ends.x.tp),
+        ("TP all", 3, &|row| row.ends.xy.tp),
         ("Ae", 4, &|row| row.ends.x.amplitude),
         ("SD", 4, &|row| row.ends.x.sd),
         ("We", 4, &|row| row.ends.x.we),
-        ("IDe", 3, &|row| row.ends.x.ide),
-        ("TP", 3, &|row| row.ends.x.tp),
         ("SD all", 4, &|row| row.ends.xy.sd),
-        ("TP all", 3, &|row| row.ends.xy.tp),
         ("left out", 0, &|row| Some(row.outliers as f64)),
         ("bias", 4, &|row| row.ends.bias),
     ];

@@ -295,6 +295,7 @@ impl Bound {
         }
         for (needed, name) in [(at::MT, "mt"), (at::END, "end_x")] {
             if numbers[needed].is_none() && !(needed == at::END && numbers[at::DX].is_some()) {
+                let name = if own && name == "mt" { "mt_s" } else { name };
                 return Err(Error::Missing { line: 1, column: name.to_owned() });
             }
         }

@@ -167,7 +167,7 @@ struct Input {
     #[arg(long, value_name = "MAP")]
     columns: Option<String>,
     /// We = factor · SD: a number, or sqrt(2*pi*e); default: the tool's, ours is sqrt(2*pi*e)
-    #[arg(long, value_name = "FACTOR")]
+    #[arg(long, value_name = "FACTOR", allow_negative_numbers = true)]
     we_factor: Option<String>,
     /// Task axis: nominal, start (FittsStudy) or serial (GoFitts); default: the tool's, ours is nominal
     #[arg(long)]
@@ -183,10 +183,10 @@ struct Input {
     #[arg(long = "set", value_name = "KNOB=VALUE")]
     knobs: Vec<String>,
     /// Asymptote x0 of the weighted homographic law, seconds; default: the map's, else 0
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     who_x0: Option<String>,
     /// Asymptote y0 of the weighted homographic law, relative spread; default: the map's, else 0
-    #[arg(long, value_name = "SPREAD")]
+    #[arg(long, value_name = "SPREAD", allow_negative_numbers = true)]
     who_y0: Option<String>,
     /// Which sequences the law is fitted to: convex, pareto or all; default: the map's, else convex
     #[arg(long, value_name = "FRONT")]
@@ -249,6 +249,16 @@ impl Input {
 
     fn read(&self) -> Result<Found, Failure> {
         let files = files_of(&self.inputs)?;
+        if let Some(absent) = files.iter().find(|file| !file.exists()) {
+            return Err(Failure::Call(format!("{}: no such file or folder", absent.display())));
+        }
+        if let Some(file) = files.iter().find(|file| has_ending(file, "toml")) {
+            return Err(Failure::Call(format!(
+                "expected recordings, or the folder of a study ({}, if it was not named otherwise), found {}",
+                file.with_extension("data").display(),
+                file.display()
+            )));
+        }
         if files.iter().any(|file| is_log(file)) {
             return self.read_logs(&files);
         }
