@@ -225,7 +225,11 @@ impl Conventions {
             let parsed = value.parse::<f64>().ok().filter(|v| v.is_finite() && *v >= least);
             parsed.ok_or_else(|| Error::Knob {
                 what: "number",
-                expected: format!("a number of at least {least}"),
+                expected: if least == f64::MIN_POSITIVE {
+                    "above 0".to_owned()
+                } else {
+                    format!("of at least {least}")
+                },
                 found: value.to_owned(),
             })
         };
