@@ -30,27 +30,6 @@ pub(crate) fn read_text(path: &Path) -> Result<String, Error> {
     std::fs::read_to_string(path).map_err(Error::read(path))
 }
 
-/// Seconds as text to nanoseconds, digit by digit: a float has too few for times since 1970.
-fn seconds(text: &str) -> Option<Timestamp> {
-    let (negative, digits) = text.strip_prefix('-').map_or((false, text), |rest| (true, rest));
-    let (whole, part) = digits.split_once('.').unwrap_or((digits, ""));
-    let plain = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
-    if !plain(whole) || !plain(part) || whole.is_empty() {
-        let span = Span::from_secs_f64(text.parse().ok()?)?;
-        return Some(Timestamp::from_nanos(span.as_nanos()));
-    }
-    let mut nanos = whole.parse::<i64>().ok()?.checked_mul(1_000_000_000)?;
-    let mut unit = 100_000_000;
-    for digit in part.bytes().take(9) {
-        nanos = nanos.checked_add(i64::from(digit - b'0') * unit)?;
-        unit /= 10;
-    }
-    if part.as_bytes().get(9).is_some_and(|digit| *digit >= b'5') {
-        nanos = nanos.checked_add(1)?;
-    }
-    Some(Timestamp::from_nanos(if negative { -nanos } else { nanos }))
-}
-
 impl Trajectory {
     /// Reads TUM's format (`t x y z qx qy qz qw` with spaces, seconds) or EuRoC's truth (`#timestamp,…` with commas, nanoseconds, then
     /// position and quaternion w x y z); `#` begins a comment.
@@ -79,7 +58,11 @@ impl Trajectory {
                 .map(str::trim)
                 .filter(|word| !word.is_empty());
             let first = words.next().unwrap_or_default();
-            let at = if commas { first.parse().ok().map(Timestamp::from_nanos) } else { seconds(first) };
+            let at = if commas {
+                first.parse().ok().map(Timestamp::from_nanos)
+            } else {
+                Timestamp::from_decimal(first, 9)
+            };
             let at = at.ok_or_else(|| {
                 wrong(1, if commas { "whole nanoseconds" } else { "a time in seconds" }, first)
             })?;

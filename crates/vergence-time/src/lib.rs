@@ -28,6 +28,31 @@ impl Timestamp {
         self.0
     }
 
+    /// Reads a decimal number of a unit that is 10^`digits` nanoseconds (seconds 9, milliseconds 6): `1403715273.262142976` to the last
+    /// digit, of which a float has too few for times since 1970; further digits are rounded. `1e-3` and the like go through a float.
+    /// `None` where it is no number, or does not fit.
+    pub fn from_decimal(text: &str, digits: u32) -> Option<Self> {
+        let (is_negative, plain) = text.strip_prefix('-').map_or((false, text), |rest| (true, rest));
+        let (whole, part) = plain.split_once('.').unwrap_or((plain, ""));
+        let is_plain = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
+        let mut unit = 10i64.checked_pow(digits)?;
+        if !is_plain(whole) || !is_plain(part) || whole.is_empty() {
+            return Span::from_secs_f64(text.parse::<f64>().ok()? * (unit as f64 * 1e-9))
+                .map(|span| Self(span.0));
+        }
+        let mut nanos = whole.parse::<i64>().ok()?.checked_mul(unit)?;
+        let mut rest = part.bytes();
+        while unit > 1 {
+            unit /= 10;
+            let Some(digit) = rest.next() else { break };
+            nanos = nanos.checked_add(i64::from(digit - b'0') * unit)?;
+        }
+        if unit == 1 && rest.next().is_some_and(|digit| digit >= b'5') {
+            nanos = nanos.checked_add(1)?;
+        }
+        Some(Self(if is_negative { -nanos } else { nanos }))
+    }
+
     /// The span from `earlier` to `self` (negative where `earlier` is later); `None` where it does not fit in
     /// 64 bits.
     pub const fn since(self, earlier: Self) -> Option<Span> {
@@ -99,6 +124,21 @@ impl Span {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn decimals_are_read_to_the_last_digit() {
+        let read = |text, digits| Timestamp::from_decimal(text, digits).map(Timestamp::as_nanos);
+        assert_eq!(read("1403715273.262142976", 9), Some(1_403_715_273_262_142_976));
+        assert_eq!(read("-0.0000000015", 9), Some(-2));
+        assert_eq!(
+            (read("12.34567891", 6), read("7", 0), read("7.5", 0)),
+            (Some(12_345_679), Some(7), Some(8))
+        );
+        assert_eq!((read("1e-3", 9), read("1.5e3", 3)), (Some(1_000_000), Some(1_500_000)));
+        for none in ["", "-", ".", "1.2.3", "x", "NaN", "inf", "9223372036.9", "99999999999999999999"] {
+            assert_eq!(read(none, 9), None, "{none}");
+        }
+    }
 
     #[test]
     fn subtraction_is_checked() {
