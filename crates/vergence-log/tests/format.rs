@@ -9,7 +9,9 @@ use std::process::Command;
 
 use tempfile::TempDir;
 use vergence_log::schema::{Kind, Schema};
-use vergence_log::{Compressed, Compression, Header, Message, Options, Reader, Recorder, StreamDesc, Times};
+use vergence_log::{
+    Compressed, Compression, Header, Message, Options, Reader, Recorder, Row, StreamDesc, Times,
+};
 use vergence_sense::{
     Axis, Button, CallResult, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu,
     JOINTS_PER_HAND, Pose, RawJoint, RawJoints, RawLocation, RawPose, RawVelocity, RawView, RawViews, Scalar,
@@ -38,7 +40,7 @@ fn the_page_has_every_type_and_field() {
         )* };
     }
     all!(Pose, RawLocation, RawViews, RawJoints, HandJoints, Gaze, Button, Axis, Vector2, Haptic, Event);
-    all!(FrameTiming, CallResult, FrameHash, Scalar, Imu, Touch, Image<'_>, Compressed<'_>);
+    all!(FrameTiming, CallResult, FrameHash, Scalar, Imu, Touch, Image<'_>, Compressed<'_>, Row<'_>);
     let mut page = "| type | version | schema | unit |\n|---|---|---|---|\n".to_owned();
     page += &(types.join("\n") + "\n\n```proto\n");
     page += &schemas.values().map(|schema| schema.to_proto()).collect::<Vec<_>>().join("\n");

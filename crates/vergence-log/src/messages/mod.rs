@@ -8,8 +8,10 @@ mod device;
 mod happening;
 mod pose;
 mod raw;
+mod row;
 
 pub use device::Compressed;
+pub use row::Row;
 use vergence_time::Timestamp;
 
 use crate::message::Times;
@@ -81,7 +83,7 @@ fn put_timestamp(field: u32, instant: Timestamp, out: &mut Encoder<'_>) {
     });
 }
 
-fn get_timestamp(value: Value<'_>) -> Result<Timestamp, WireError> {
+pub(crate) fn get_timestamp(value: Value<'_>) -> Result<Timestamp, WireError> {
     let (mut seconds, mut nanos) = (0i64, 0i64);
     Decoder::new(value.bytes()?).each(|number, value| {
         match number {
