@@ -1,5 +1,9 @@
 //! `vergence log`: what is in a session log, whether it is well, and other logs made out of it.
 
+mod export;
+mod import;
+mod table;
+
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -35,6 +39,10 @@ enum Verb {
     /// Where two logs part: the first difference of each stream, bit for bit; streams of host time are not compared
     /// (exit status 1 where they differ)
     Diff(DiffArgs),
+    /// Makes a log out of another recording: EuRoC, TUM, BROAD, XDF, a table
+    Import(import::ImportArgs),
+    /// Writes a log for other programs: CSV, Parquet, TUM, EuRoC
+    Export(export::ExportArgs),
 }
 
 #[derive(clap::Args)]
@@ -113,6 +121,8 @@ impl Args {
             Verb::Cut(args) => args.run(),
             Verb::Merge(args) => args.run(),
             Verb::Diff(args) => args.run(),
+            Verb::Import(args) => args.run(),
+            Verb::Export(args) => args.run(),
         }
     }
 }

@@ -1,0 +1,164 @@
+//! `vergence log import` and `export` as their users call them: what was in the files is in the log, and in the files again.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use vergence_tests::{data, last_object, skip, vergence};
+
+fn log(arguments: &[&str]) -> Output {
+    Command::new(vergence()).arg("log").args(arguments).output().expect("the binary runs")
+}
+
+fn told(output: &Output) -> String {
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    format!("{}\n{out}\n{err}", output.status)
+}
+
+fn done(arguments: &[&str]) -> Value {
+    let output = log(arguments);
+    assert!(output.status.success(), "{}", told(&output));
+    last_object(&String::from_utf8_lossy(&output.stdout)).expect("one object")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a path in UTF-8")
+}
+
+/// Times as nanoseconds and numbers of a table, without comments and header.
+fn numbers(path: &Path, separator: char) -> Vec<Vec<f64>> {
+    let content = std::fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let is_row = |line: &&str| line.starts_with(|c: char| c.is_ascii_digit() || c == '-');
+    let row = |line: &str| line.split(separator).map(|word| word.trim().parse().expect("a number")).collect();
+    content.lines().filter(is_row).map(row).collect()
+}
+
+#[test]
+fn a_tum_file_comes_back_as_it_was() {
+    let Some(file) = data().map(|data| data.join("trajectories/V1_01_easy.tum.txt")) else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mcap, out) = (folder.path().join("a.mcap"), folder.path().join("out"));
+    let said = done(&["import", "tum", text(&file), "-o", text(&mcap), "--json"]);
+    assert_eq!((said["samples"].as_u64(), said["dropped"].as_u64()), (Some(2895), Some(0)), "{said}");
+    done(&["export", "tum", text(&mcap), "-o", text(&out), "--json"]);
+    let (before, after) = (numbers(&file, ' '), numbers(&out.join("body.tum.txt"), ' '));
+    assert_eq!(before.len(), after.len());
+    for (a, b) in before.iter().zip(&after) {
+        // Quaternions are normalised: files have six digits of them.
+        for (place, (a, b)) in a.iter().zip(b).enumerate() {
+            let tolerance = if place < 4 { 0.0 } else { 2e-6 };
+            assert!((a - b).abs() <= tolerance, "{a} {b}");
+        }
+    }
+}
+
+#[test]
+fn an_euroc_folder_comes_back_as_it_was() {
+    let Some(rig) = data().map(|data| data.join("slam/euroc_v101_start")) else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mcap, out) = (folder.path().join("a.mcap"), folder.path().join("out"));
+    let said = done(&["import", "euroc", text(&rig), "-o", text(&mcap), "--json"]);
+    assert_eq!(said["dropped"], 0);
+    done(&["export", "euroc", text(&mcap), "-o", text(&out), "--json"]);
+    let inertial = |root: &Path| numbers(&root.join("mav0/imu0/data.csv"), ',');
+    let (before, after) = (inertial(&rig), inertial(&out));
+    assert!(before.len() > 100 && before == after);
+    for camera in ["cam0", "cam1"] {
+        let pictures = |root: &Path| -> Vec<PathBuf> {
+            let entries = std::fs::read_dir(root.join("mav0").join(camera).join("data")).expect("pictures");
+            let mut all: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
+            all.sort();
+            all
+        };
+        let (before, after) = (pictures(&rig), pictures(&out));
+        assert_eq!(before.len(), after.len(), "{camera}");
+        for (a, b) in before.iter().zip(&after) {
+            assert_eq!(a.file_name(), b.file_name());
+            assert!(
+                std::fs::read(a).expect("a picture") == std::fs::read(b).expect("a picture"),
+                "{}",
+                a.display()
+            );
+        }
+    }
+}
+
+/// Seventeen columns, of which the pose is kept: nanoseconds, position and quaternion (w first).
+#[test]
+fn eurocs_truth_comes_back_as_it_was() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let truth = folder.path().join("mav0/state_groundtruth_estimate0");
+    std::fs::create_dir_all(&truth).expect("a folder");
+    let lines = [
+        "#timestamp, p_RS_R_x [m], …",
+        "1403636580838555648,4.688319,-1.786938,0.783338,0.534108,-0.153029,-0.827383,-0.082152,0,0,0,0,0,0,0,0,0",
+        "1403636580843555648,4.688177,-1.786770,0.787350,0.6,-0.8,0,0,0,0,0,0,0,0,0,0,0",
+    ];
+    std::fs::write(truth.join("data.csv"), lines.join("\r\n")).expect("a file");
+    let (mcap, out) = (folder.path().join("a.mcap"), folder.path().join("out"));
+    done(&["import", "euroc", text(folder.path()), "-o", text(&mcap), "--json"]);
+    done(&["export", "euroc", text(&mcap), "-o", text(&out), "--json"]);
+    let table = "mav0/state_groundtruth_estimate0/data.csv";
+    let (before, after) = (numbers(&folder.path().join(table), ','), numbers(&out.join(table), ','));
+    assert_eq!((before.len(), after.len()), (2, 2));
+    for (a, b) in before.iter().zip(&after) {
+        assert_eq!(a[..4], b[..4]);
+        // Quaternions are normalised: files have six digits of them.
+        assert!(a[4..8].iter().zip(&b[4..8]).all(|(a, b)| (a - b).abs() < 1e-6), "{a:?} {b:?}");
+    }
+}
+
+/// What pandas, pyarrow and the MCAP reader read of a table, an XDF file and a BROAD trial.
+#[test]
+fn others_read_equal_numbers() {
+    let Some(data) = data() else { return };
+    let checkout = vergence_tests::checkout();
+    let named = std::env::var_os("VERGENCE_PYTHON").map(PathBuf::from);
+    let python = named.unwrap_or_else(|| checkout.join("target/python/bin/python"));
+    let probe = Command::new(&python).args(["-c", "import pandas, pyarrow, mcap_protobuf"]).output();
+    if !probe.is_ok_and(|output| output.status.success()) {
+        return skip("python", "pandas, pyarrow and mcap-protobuf-support are missing: run tools/setup");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let table = "t_ns,x,y z\n-5,1.5,0.1\n7,,1e300\n9,-0.0,3\n";
+    std::fs::write(at("table.csv"), table).expect("a file");
+    for (kind, file, mcap) in [
+        ("csv", at("table.csv"), at("csv.mcap")),
+        ("xdf", data.join("xdf/clock_resets.xdf"), at("xdf.mcap")),
+        ("broad", data.join("broad/24_disturbed_tapping_A.csv.gz"), at("broad.mcap")),
+    ] {
+        assert_eq!(done(&["import", kind, text(&file), "-o", text(&mcap), "--json"])["dropped"], 0, "{kind}");
+        for kind in KINDS {
+            let out = mcap.with_extension(kind);
+            done(&["export", kind, text(&mcap), "-o", text(&out), "--json"]);
+        }
+    }
+    let script = checkout.join("tests/foreign.py");
+    let broad = data.join("broad/24_disturbed_tapping_A.csv.gz");
+    let output = Command::new(&python).arg(script).arg(folder.path()).arg(broad).output().expect("it runs");
+    assert!(output.status.success(), "{}", told(&output));
+    print!("{}", String::from_utf8_lossy(&output.stdout));
+}
+
+const KINDS: [&str; 2] = ["csv", "parquet"];
+
+#[test]
+fn what_is_wrong_is_said_with_its_place() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    for (kind, content, expected) in [
+        ("csv", "t,x\n1,2\nzwei,2\n", "a.csv:3:1: expected a time, found \"zwei\""),
+        ("csv", "t\n", "a.csv:1:1: expected a header of 2 to 4096 columns"),
+        ("tum", "1 2 3\n", "a.tum:1:3: expected eight numbers, found 3"),
+        ("xdf", "MCAP", "expected an XDF file"),
+    ] {
+        let file = at(&format!("a.{kind}"));
+        std::fs::write(&file, content).expect("a file");
+        let output = log(&["import", kind, text(&file), "-o", text(&at("a.mcap"))]);
+        assert_eq!(output.status.code(), Some(1), "{}", told(&output));
+        assert!(String::from_utf8_lossy(&output.stderr).contains(expected), "{}", told(&output));
+    }
+    let output = log(&["import", "csv", text(&at("nothing.csv")), "-o", text(&at("a.mcap"))]);
+    assert_eq!(output.status.code(), Some(2), "{}", told(&output));
+}
