@@ -1,5 +1,6 @@
 //! `vergence trade`: what quality costs, measured, and the setting that fits a budget.
 
+mod filters;
 mod imu;
 mod measure;
 mod studio;
@@ -40,6 +41,12 @@ enum What {
     /// Means over recordings with a truth. Written to the folder: trade.html, trade.json, a plot for 9 and one for 6 axes
     /// (.svg).
     Imu(imu::ImuTrade),
+    /// Smoothing filters, each at several positions of its knobs: jitter left against error and lag
+    ///
+    /// On recorded motion plus noise. Jitter left: what a filter makes of the noise alone, over the noise. Lag: the delay of the
+    /// truth to which the filtered motion is nearest in the mean square (0.1 ms steps). Error: distance from the truth at the same
+    /// time, root of the mean square. Written to the folder: filters.html, filters.json, plots of error and lag over jitter (.svg).
+    Filters(filters::FilterTrade),
 }
 
 impl Args {
@@ -48,6 +55,7 @@ impl Args {
         match self.what {
             What::Render(trade) => trade.run(),
             What::Imu(trade) => trade.run(),
+            What::Filters(trade) => trade.run(),
         }
     }
 }

@@ -7,6 +7,7 @@
 //! What each knob costs in lag and gains in steadiness, on recorded motion: `vergence trade filters`.
 
 mod double_exponential;
+pub mod judge;
 mod low_pass;
 mod one_euro;
 
