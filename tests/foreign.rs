@@ -159,6 +159,23 @@ fn what_is_wrong_is_said_with_its_place() {
         assert_eq!(output.status.code(), Some(1), "{}", told(&output));
         assert!(String::from_utf8_lossy(&output.stderr).contains(expected), "{}", told(&output));
     }
+    std::fs::write(at("t.csv"), "t,x\n1,2\n").expect("a file");
+    let output = log(&["import", "csv", text(&at("t.csv")), "-o", text(&at("t.csv"))]);
+    assert_eq!(output.status.code(), Some(2), "{}", told(&output));
+    assert_eq!(
+        std::fs::read(at("t.csv")).expect("a file"),
+        b"t,x\n1,2\n",
+        "what was to be read is still there"
+    );
+    done(&["import", "csv", text(&at("t.csv")), "-o", text(&at("t.mcap")), "--json"]);
+    let output = log(&["export", "tum", text(&at("t.mcap")), "-o", text(&at("out"))]);
+    assert!(
+        String::from_utf8_lossy(&output.stderr)
+            .contains("tracked poses, found /recorder/events (Event), /t (Row)"),
+        "{}",
+        told(&output)
+    );
+    done(&["export", "csv", text(&at("t.mcap")), "-o", text(&at("out")), "--streams", "t", "--json"]);
     let output = log(&["import", "csv", text(&at("nothing.csv")), "-o", text(&at("a.mcap"))]);
     assert_eq!(output.status.code(), Some(2), "{}", told(&output));
 }

@@ -76,10 +76,7 @@ impl ExportArgs {
             Kind::Euroc => self.euroc(&mut reader)?,
         };
         if written.is_empty() {
-            return Err(Failure::Work(format!(
-                "{}: expected streams of that kind, found none",
-                self.file.display()
-            )));
+            return Err(self.nothing());
         }
         if self.json {
             let files: Vec<_> = written
@@ -95,10 +92,32 @@ impl ExportArgs {
         Ok(())
     }
 
+    /// Why nothing was written: what was looked for, and what the log has.
+    fn nothing(&self) -> Failure {
+        let holds = match self.kind {
+            Kind::Csv | Kind::Parquet => "samples of a known type",
+            Kind::Tum => "tracked poses",
+            Kind::Euroc => "inertial samples, pictures or tracked poses",
+        };
+        let wanted = if self.streams.is_empty() { "a stream".to_owned() } else { self.streams.join(" or ") };
+        let mut found: Vec<String> = Vec::new();
+        if let Ok(mut reader) = Reader::open(&self.file) {
+            while reader.next().is_ok_and(|entry| entry.is_some()) {}
+            found = reader.streams().map(|s| format!("{} ({})", s.name, s.type_name())).collect();
+            found.sort();
+        }
+        let found = if found.is_empty() { "none".to_owned() } else { found.join(", ") };
+        let file = self.file.display();
+        Failure::Work(format!("{file}: expected {wanted} with {holds}, found {found}"))
+    }
+
     fn wants(&self, entry: &Entry<'_>) -> bool {
         let name = &entry.stream.name;
         let below = |own: &String| {
-            name == own
+            let own = own.trim_start_matches('/');
+            let name = name.trim_start_matches('/');
+            own.is_empty()
+                || name == own
                 || name.strip_prefix(own.trim_end_matches('/')).is_some_and(|rest| rest.starts_with('/'))
         };
         self.streams.is_empty() || self.streams.iter().any(below)

@@ -97,6 +97,16 @@ impl ImportArgs {
                 self.path.display()
             )));
         }
+        // What is read would be gone before it is written.
+        if self
+            .output
+            .canonicalize()
+            .is_ok_and(|output| self.path.canonicalize().is_ok_and(|path| path == output))
+        {
+            let message =
+                format!("{}: expected another file than the recording itself", self.output.display());
+            return Err(Failure::Call(message));
+        }
         let mut gathered = Gathered::default();
         match self.kind {
             Kind::Euroc => euroc(&self.path, &mut gathered)?,
@@ -134,15 +144,13 @@ impl ImportArgs {
                 })
             );
         } else {
+            let (count, samples) = (gathered.descs.len(), status.taken);
             println!(
-                "{}: {} samples of {} streams, {seconds:.3} s",
+                "{}: {samples} sample{} of {count} stream{}, {seconds:.3} s",
                 self.output.display(),
-                status.taken,
-                gathered.descs.len()
+                if samples == 1 { "" } else { "s" },
+                if count == 1 { "" } else { "s" },
             );
-            for fault in &gathered.faults {
-                println!("left out: {fault}");
-            }
         }
         Ok(())
     }
