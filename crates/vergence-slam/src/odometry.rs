@@ -385,7 +385,9 @@ impl Odometry {
         let [position_sigma_m, rotation_sigma_rad, velocity_sigma_m_s] =
             if blind && !first { [f64::INFINITY; 3] } else { self.sigmas(first) };
         self.adrift = if outliers > known.saturating_sub(outliers) { self.adrift + 1 } else { 0 };
-        let state = self.judge(known, velocity_sigma_m_s);
+        // Points that this frame has made hold it as well as known ones.
+        let held = if first || begins { self.window.points.len() } else { known };
+        let state = self.judge(held, velocity_sigma_m_s);
         let last = self.window.frames.last().expect("a frame was pushed above");
         let motion = last.motion_now();
         self.biases = motion.biases;

@@ -3,6 +3,7 @@
 mod filters;
 mod imu;
 mod measure;
+mod slam;
 mod studio;
 
 use std::fmt::Write as _;
@@ -47,6 +48,11 @@ enum What {
     /// truth to which the filtered motion is nearest in the mean square (0.1 ms steps). Error: distance from the truth at the same
     /// time, root of the mean square. Written to the folder: filters.html, filters.json, plots of error and lag over jitter (.svg).
     Filters(filters::FilterTrade),
+    /// Odometry: points, pyramid levels, keyframes, states and steps: CPU time per frame against position error
+    ///
+    /// Over one recording with a truth. Each knob is turned alone, then all of them towards speed. Written to the folder: trade.html,
+    /// trade.json, slam.svg, and with --budget or --error slam.toml, which `slam run --config` takes.
+    Slam(slam::SlamTrade),
 }
 
 impl Args {
@@ -56,6 +62,7 @@ impl Args {
             What::Render(trade) => trade.run(),
             What::Imu(trade) => trade.run(),
             What::Filters(trade) => trade.run(),
+            What::Slam(trade) => trade.run(),
         }
     }
 }

@@ -54,7 +54,8 @@ pub enum Sensors {
 }
 
 impl Sensors {
-    fn mode(self) -> Mode {
+    /// Of the library.
+    pub fn mode(self) -> Mode {
         match self {
             Self::StereoInertial => Mode::StereoInertial,
             Self::Stereo => Mode::Stereo,
