@@ -55,6 +55,14 @@ pub(crate) fn arrival(entry: &Entry<'_>) -> Timestamp {
 /// Where the log is damaged or cannot be read, has no stream that was named, or `to` cannot be written.
 pub fn cut(from: &Path, to: &Path, part: &Part, progress: &mut dyn FnMut(u64, u64)) -> Result<Kept, Error> {
     let mut copier = Copier::open(0, from, Limits::default())?;
+    if let (Some(begin), Some(end)) = (part.from, part.until)
+        && begin >= end
+    {
+        let length = begin.since(end).map_or(f64::INFINITY, |span| span.as_secs_f64());
+        return Err(Error::Request(format!(
+            "expected a part that ends after it begins, found one that ends {length} s before"
+        )));
+    }
     let mut writer = Rewriter::create(to, &[from])?;
     if let Some(session) = copier.reader.header().map(Header::to_map) {
         writer.session(session)?;

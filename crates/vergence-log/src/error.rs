@@ -43,7 +43,7 @@ pub enum Error {
         found: String,
     },
     /// A newer Vergence wrote the file.
-    #[error("{}: expected a session log of format {expected} or earlier, found format {found}", path.display())]
+    #[error("{}: expected a session log of format {expected} or earlier, found format {found}: a newer vergence wrote it", path.display())]
     Newer {
         /// Which file.
         path: PathBuf,

@@ -5,7 +5,7 @@ mod index;
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, ErrorKind, Read, Seek};
+use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -162,6 +162,45 @@ pub struct Attachment {
     pub length: u64,
 }
 
+impl Attachment {
+    /// Bytes from the beginning of its record to its content: opcode and length, two instants, two names with their lengths,
+    /// the length of the content. `None` where the record is too short for that.
+    pub fn content_offset(&self) -> Option<u64> {
+        let texts = self.name.len() as u64 + self.media_type.len() as u64;
+        let head = HEAD as u64 + 16 + 4 + 4 + 8 + texts;
+        (head + CHECKSUM <= self.length).then_some(head)
+    }
+
+    /// Whether what is attached to the log at `path` is as it was written, by its checksum.
+    ///
+    /// # Errors
+    /// Where the file cannot be read.
+    pub fn is_whole(&self, path: &Path) -> Result<bool, Error> {
+        if self.content_offset().is_none() {
+            return Ok(false);
+        }
+        let read_error = |error: std::io::Error| Error::read(path, error);
+        let mut file = File::open(path).map_err(read_error)?;
+        file.seek(SeekFrom::Start(self.offset + HEAD as u64)).map_err(read_error)?;
+        let mut checksum = crc32fast::Hasher::new();
+        let mut piece = vec![0; 256 << 10];
+        let mut left = self.length - HEAD as u64 - CHECKSUM;
+        while left > 0 {
+            let most = left.min(piece.len() as u64) as usize;
+            file.read_exact(&mut piece[..most]).map_err(read_error)?;
+            checksum.update(&piece[..most]);
+            left -= most as u64;
+        }
+        let mut saved = [0; CHECKSUM as usize];
+        file.read_exact(&mut saved).map_err(read_error)?;
+        let saved = u32::from_le_bytes(saved);
+        Ok(saved == 0 || saved == checksum.finalize())
+    }
+}
+
+/// Bytes of the checksum behind what is attached.
+const CHECKSUM: u64 = 4;
+
 /// What stands in front of a record, and where.
 #[derive(Clone, Copy)]
 struct Head {
@@ -274,9 +313,15 @@ impl Reader {
         let mut magic = [0; MAGIC.len()];
         match self.file.read_exact(&mut magic) {
             Ok(()) if magic == *MAGIC => self.at = MAGIC.len() as u64,
-            Ok(()) => return Err(self.not_a_log(format!("a file that begins with {magic:02x?}"))),
+            Ok(()) => {
+                let found = format!("a file that begins with \"{}\"", magic.escape_ascii());
+                return Err(self.not_a_log(found));
+            }
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof && self.length == 0 => {
+                return Err(self.not_a_log("an empty file".to_owned()));
+            }
             Err(error) if error.kind() == ErrorKind::UnexpectedEof => {
-                return Err(self.not_a_log(format!("{} bytes", self.length)));
+                return Err(self.not_a_log(format!("a file of {} bytes", self.length)));
             }
             Err(error) => return Err(Error::read(&self.path, error)),
         }

@@ -14,7 +14,7 @@ use crate::rewrite::{Copier, Rewriter};
 pub struct Repair {
     /// Messages in the new file: every one that is whole in the old one, bit for bit, in its order.
     pub messages: u64,
-    /// The old file ended as it should.
+    /// The old file ended as it should, and nothing in it was damaged.
     pub was_complete: bool,
     /// From here on nothing whole was left.
     pub cut_off_at: Option<u64>,
@@ -101,6 +101,6 @@ fn end(reader: &Reader, found: &mut Repair) {
             found.cut_off_at = Some(at);
             found.lost_bytes_at_end = reader.progress().1.saturating_sub(at);
         }
-        _ => found.was_complete = true,
+        _ => found.was_complete = found.damaged.is_empty() && found.lost_attachments.is_empty(),
     }
 }

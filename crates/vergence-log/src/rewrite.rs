@@ -46,7 +46,7 @@ impl Rewriter {
         let mut name = goal.as_os_str().to_owned();
         name.push(format!(".{}.part", std::process::id()));
         let beside = PathBuf::from(name);
-        let file = File::create_new(&beside).map_err(|error| Error::create(&beside, error))?;
+        let file = File::create_new(&beside).map_err(|error| Error::create(goal, error))?;
         let sink = BufWriter::with_capacity(256 << 10, file);
         let mcap = write_options(Compression::Zstd, Some(1 << 20)).create(sink);
         let mcap = mcap.map_err(|error| write_error(goal, error))?;
@@ -115,37 +115,22 @@ impl Rewriter {
     pub(crate) fn attachment(&mut self, reader: &Reader, attached: &Attachment) -> Result<bool, Error> {
         let path = reader.path();
         let read_error = |error: std::io::Error| Error::read(path, error);
-        let mut file = File::open(path).map_err(read_error)?;
-        let body = attached.length.saturating_sub(HEAD as u64 + 4);
         let mut piece = vec![0; 256 << 10];
+        let Some(content) = attached.content_offset().filter(|head| *head <= piece.len() as u64) else {
+            return Ok(false);
+        };
+        if !attached.is_whole(path)? {
+            return Ok(false);
+        }
+        let mut file = File::open(path).map_err(read_error)?;
         let start = attached.offset + HEAD as u64;
-        // The head of the attachment: two instants, two names, the length of the data.
-        let head_length = 16 + 4 + attached.name.len() as u64 + 4 + attached.media_type.len() as u64 + 8;
-        if head_length > body || head_length > piece.len() as u64 {
-            return Ok(false);
-        }
         file.seek(SeekFrom::Start(start)).map_err(read_error)?;
-        let mut checksum = crc32fast::Hasher::new();
-        let mut left = body;
-        while left > 0 {
-            let most = left.min(piece.len() as u64) as usize;
-            file.read_exact(&mut piece[..most]).map_err(read_error)?;
-            checksum.update(&piece[..most]);
-            left -= most as u64;
-        }
-        let mut saved = [0; 4];
-        file.read_exact(&mut saved).map_err(read_error)?;
-        let saved = u32::from_le_bytes(saved);
-        if saved != 0 && saved != checksum.finalize() {
-            return Ok(false);
-        }
-        file.seek(SeekFrom::Start(start)).map_err(read_error)?;
-        let head = &mut piece[..head_length as usize];
+        let head = &mut piece[..(content - HEAD as u64) as usize];
         file.read_exact(head).map_err(read_error)?;
         let mut fields = Fields(head);
         let what = "an attachment";
         let (Ok(log_time), Ok(create_time)) = (fields.u64(what), fields.u64(what)) else { return Ok(false) };
-        let mut left = body - head_length;
+        let mut left = attached.length - content - 4;
         let (name, media_type) = (attached.name.clone(), attached.media_type.clone());
         let started =
             self.mcap.start_attachment(left, AttachmentHeader { log_time, create_time, name, media_type });

@@ -263,6 +263,13 @@ impl Survey {
                 last = Some(arrived);
             }
         }
+        for attached in reader.attachments() {
+            if !attached.is_whole(reader.path())? {
+                let place = Place { offset: attached.offset, in_chunk: 0 };
+                findings
+                    .add("attachment", "", place, || format!("the attached {} is damaged", attached.name));
+            }
+        }
         Ok(Self::sum_up(reader, &watched, findings, messages, extent))
     }
 

@@ -197,3 +197,47 @@ fn a_repair_leaves_its_source_alone_whatever_it_is_called() {
     assert!(to.exists());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 2, "nothing else is left");
 }
+
+/// What is attached has a checksum of its own: a survey looks at it, and a repair leaves it out and says so.
+#[test]
+fn a_damaged_attachment_is_found_and_left_out() {
+    let dir = TempDir::new().unwrap();
+    let (path, scene) = (dir.path().join("a.mcap"), dir.path().join("scene.txt"));
+    std::fs::write(&scene, "a scene that nobody changed").unwrap();
+    let mut recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
+    let stream = recorder.stream::<Scalar>(&StreamDesc::new("/x")).unwrap();
+    recorder.attach("scene.txt", "text/plain", &scene);
+    recorder.write(&stream, Times::at(at(1)), &Scalar(1.0));
+    recorder.finish().unwrap();
+    let surveyed = |path: &Path| Survey::of(&mut Reader::open(path).unwrap(), &mut |_, _| {}).unwrap();
+    assert!(surveyed(&path).is_well());
+
+    let mut bytes = std::fs::read(&path).unwrap();
+    let place = bytes.windows(6).position(|part| part == b"nobody").unwrap();
+    bytes[place] ^= 1;
+    std::fs::write(&path, bytes).unwrap();
+    let survey = surveyed(&path);
+    assert_eq!((survey.is_well(), survey.complete, survey.findings_count), (false, true, 1));
+    assert_eq!(survey.findings[0].sentence, "the attached scene.txt is damaged");
+    let mended = dir.path().join("mended.mcap");
+    let found = repair(&path, &mended, Limits::default(), &mut |_, _| {}).unwrap();
+    assert_eq!((found.was_complete, found.messages), (false, 1));
+    assert_eq!(found.lost_attachments, ["scene.txt"]);
+    assert!(surveyed(&mended).is_well());
+}
+
+/// A part that ends before it begins is a mistake, and leaves no file.
+#[test]
+fn a_part_ends_after_it_begins() {
+    let dir = TempDir::new().unwrap();
+    let path = log(dir.path(), "a.mcap", same);
+    let part = Part { from: Some(at(500)), until: Some(at(500)), streams: Vec::new() };
+    let out = dir.path().join("part.mcap");
+    let refused = cut(&path, &out, &part, &mut |_, _| {}).unwrap_err();
+    assert!(matches!(refused, Error::Request(_)) && refused.to_string().contains("after it begins"));
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
+    // The file that was named is the one that cannot be made.
+    let nowhere = Path::new("/no/such/folder/part.mcap");
+    let refused = cut(&path, nowhere, &Part::default(), &mut |_, _| {}).unwrap_err().to_string();
+    assert_eq!(refused, "/no/such/folder/part.mcap: cannot be created");
+}

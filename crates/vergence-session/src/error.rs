@@ -25,7 +25,7 @@ pub enum Error {
     #[error(transparent)]
     Log(#[from] vergence_log::Error),
     /// A result could not be written.
-    #[error("{path}: {source}")]
+    #[error("{path}: cannot be written: {source}")]
     Write {
         /// The file.
         path: PathBuf,

@@ -120,15 +120,17 @@ impl SessionLog {
                 )));
             }
             let to = folder.join(relative);
+            let head = attachment.content_offset().unwrap_or(attachment.length);
+            if !attachment.is_whole(&self.path)? {
+                let (log, name) = (self.path.display(), &attachment.name);
+                return Err(Error::Call(format!("{log}: the attached {name} is damaged")));
+            }
             let mut unpack = || -> std::io::Result<()> {
                 if let Some(parent) = to.parent() {
                     std::fs::create_dir_all(parent)?;
                 }
-                // Opcode and length, two times, two texts with their lengths, the length of the content; then the content,
-                // and a checksum.
-                let texts = attachment.name.len() + attachment.media_type.len();
-                let head = 9 + 16 + 8 + texts as u64 + 8;
                 file.seek(SeekFrom::Start(attachment.offset + head))?;
+                // A checksum comes behind it.
                 let length = attachment.length.saturating_sub(head + 4);
                 std::io::copy(&mut (&mut file).take(length), &mut std::fs::File::create(&to)?)?;
                 Ok(())

@@ -127,10 +127,14 @@ impl Args {
     }
 }
 
-/// A file that is not there is a wrong call; everything else is work that failed.
+/// A file that is not there, or is a folder, is a wrong call; everything else is work that failed.
 pub(crate) fn failed(error: &Error) -> Failure {
     match error {
-        Error::Read { source, .. } if source.kind() == std::io::ErrorKind::NotFound => Failure::call(error),
+        Error::Read { source, .. }
+            if matches!(source.kind(), std::io::ErrorKind::NotFound | std::io::ErrorKind::IsADirectory) =>
+        {
+            Failure::call(error)
+        }
         Error::Request(_) | Error::NoStream { .. } => Failure::call(error),
         _ => Failure::work(error),
     }
@@ -167,7 +171,8 @@ fn info(one: &One) -> Result<(), Failure> {
     }
     for (key, value) in survey.session.iter().filter(|(_, value)| !value.is_empty()) {
         match value.lines().count() {
-            0 | 1 => println!("{key:16} {value}"),
+            0 | 1 if value.len() <= 200 => println!("{key:16} {value}"),
+            0 | 1 => println!("{key:16} {} characters, with --json", value.len()),
             lines => println!("{key:16} {lines} lines"),
         }
     }
@@ -266,7 +271,12 @@ fn check(one: &One) -> Result<(), Failure> {
         return Ok(());
     }
     let what = if survey.complete { "is complete, and not well" } else { "was cut off" };
-    Err(Failure::Work(format!("{}: {what} ({} findings)", one.file.display(), survey.findings_count)))
+    let findings = match survey.findings_count {
+        0 => String::new(),
+        1 => " (1 finding)".to_owned(),
+        count => format!(" ({count} findings)"),
+    };
+    Err(Failure::Work(format!("{}: {what}{findings}", one.file.display())))
 }
 
 #[derive(Serialize)]
@@ -280,28 +290,38 @@ impl RepairArgs {
     fn run(self) -> Result<(), Failure> {
         let output = self.output.unwrap_or_else(|| self.file.with_extension("repaired.mcap"));
         let found: Repair = with_bar(|progress| repair(&self.file, &output, Limits::default(), progress))?;
+        let nothing = found.messages == 0 && !found.was_complete;
         if self.json {
-            return print_json(&Written { output: &output, what: found });
+            print_json(&Written { output: &output, what: &found })?;
+        } else {
+            told(&output, &found);
         }
-        println!("{}: {} messages", output.display(), found.messages);
-        match found.cut_off_at {
-            Some(at) => println!(
-                "missing: what came after byte {at} ({} bytes there are no whole record)",
-                found.lost_bytes_at_end
-            ),
-            None if found.was_complete => println!("the log was complete"),
-            None => println!("the log was damaged: what is whole is kept"),
-        }
-        for place in &found.damaged {
-            println!("damaged: {place}");
-        }
-        if found.missing > 0 {
-            println!("missing: {} messages, by their numbers", found.missing);
-        }
-        for name in &found.lost_attachments {
-            println!("missing: attachment {name}, which is damaged");
+        if nothing {
+            return Err(Failure::Work(format!("{}: no message in it is whole", self.file.display())));
         }
         Ok(())
+    }
+}
+
+/// What a repair came to, for people.
+fn told(output: &Path, found: &Repair) {
+    println!("{}: {} messages", output.display(), found.messages);
+    match found.cut_off_at {
+        Some(at) => println!(
+            "missing: what came after byte {at} ({} bytes there are no whole record)",
+            found.lost_bytes_at_end
+        ),
+        None if found.was_complete => println!("the log was complete"),
+        None => println!("the log was damaged: what is whole is kept"),
+    }
+    for place in &found.damaged {
+        println!("damaged: {place}");
+    }
+    if found.missing > 0 {
+        println!("missing: {} messages, by their numbers", found.missing);
+    }
+    for name in &found.lost_attachments {
+        println!("missing: attachment {name}, which is damaged");
     }
 }
 
@@ -319,9 +339,13 @@ impl CutArgs {
         let part = Part { from: instant(self.from)?, until: instant(self.until)?, streams: self.streams };
         let kept = with_bar(|progress| cut(&self.file, &self.output, &part, progress))?;
         if self.json {
-            return print_json(&Written { output: &self.output, what: kept });
+            print_json(&Written { output: &self.output, what: &kept })?;
+        } else {
+            println!("{}: {} messages, {} left out", self.output.display(), kept.messages, kept.left_out);
         }
-        println!("{}: {} messages, {} left out", self.output.display(), kept.messages, kept.left_out);
+        if kept.messages == 0 && kept.left_out > 0 {
+            return Err(Failure::Work(format!("{}: nothing of it lies there", self.file.display())));
+        }
         Ok(())
     }
 }

@@ -14,11 +14,11 @@ use crate::loading;
 pub struct Args {
     /// A session that `vergence run --record` wrote
     log: PathBuf,
-    /// The scene [default: where it was recorded, else as attached to the log]
+    /// The scene [default: where it was recorded, else, or where it has changed since, as attached to the log]
     #[arg(long, value_name = "PATH")]
     scene: Option<PathBuf>,
     /// How fast: 1 as recorded, N times as fast, or max
-    #[arg(long, value_name = "1|N|max", default_value = "max", value_parser = speed)]
+    #[arg(long, value_name = "1|N|max", default_value = "max", value_parser = speed, allow_negative_numbers = true)]
     speed: Speed,
     /// Writes stereo pictures, the poses they were seen from, and the report into a folder
     #[arg(long, value_name = "DIR")]
@@ -85,7 +85,21 @@ impl Args {
         let unpacked = tempfile::tempdir().map_err(|error| Failure::work(&error))?;
         let scene = match (&self.scene, log.scene_path()) {
             (Some(path), _) => loading::scene(path)?,
-            (None, Some(path)) if path.is_file() => loading::scene(path)?,
+            (None, Some(path)) if path.is_file() => {
+                let there = loading::scene(path)?;
+                let changed = log.check_scene(&there).is_err();
+                // What was attached is what was recorded, whatever became of the file since.
+                match if changed { log.unpack_scene(unpacked.path()).map_err(failed)? } else { None } {
+                    Some(attached) => {
+                        eprintln!(
+                            "{} is another one by now: taking the scene attached to the log",
+                            path.display()
+                        );
+                        loading::scene(&attached)?
+                    }
+                    None => there,
+                }
+            }
             (None, recorded) => match log.unpack_scene(unpacked.path()).map_err(failed)? {
                 Some(path) => loading::scene(&path)?,
                 None => {
