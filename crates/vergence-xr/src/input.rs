@@ -87,6 +87,10 @@ impl Input {
             let binding = openxr::Binding::new(&action, path(GAZE_PATH)?);
             match instance.suggest_interaction_profile_bindings(path(GAZE_PROFILE)?, &[binding]) {
                 Ok(()) => Some(action),
+                Err(
+                    result @ (openxr::sys::Result::ERROR_INSTANCE_LOST
+                    | openxr::sys::Result::ERROR_SESSION_LOST),
+                ) => return Err(Error::of("xrSuggestInteractionProfileBindings", result)),
                 Err(result) => {
                     log::warn!("eye gaze is not available: {result}");
                     None
