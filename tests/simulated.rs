@@ -271,6 +271,73 @@ fn plans_differ_as_scenes_do() {
     assert_ne!(small["plan"], room["plan"]);
 }
 
+/// What `tools/run` asks for, where a real runtime is found: ours, opened by the system's loader.
+#[test]
+fn a_real_headset_does_without_the_motion_of_the_simulated_one() {
+    if !vulkan() {
+        return;
+    }
+    let loader = Command::new("hello_xr").stdin(std::process::Stdio::null()).output();
+    if loader.is_err() {
+        return vergence_tests::skip("openxr", "hello_xr, package libopenxr-utils, is missing");
+    }
+    let built =
+        Command::new(vergence_tests::checkout().join("tools/xr-runtime")).output().expect("bash is there");
+    assert!(built.status.success(), "{}", told(&built));
+    let manifest = String::from_utf8(built.stdout).expect("a path");
+    let run = |headset: &str| {
+        Command::new(vergence_tests::vergence())
+            .args(["run".as_ref(), sample().as_os_str()])
+            .args(["--headset", headset, "--motion", "look-around.toml", "--frames", "3"])
+            .env("XR_RUNTIME_JSON", manifest.trim())
+            .env("VERGENCE_XR_CLOCK", "virtual")
+            .output()
+            .expect("the vergence binary starts")
+    };
+    let auto = run("auto");
+    assert_eq!(auto.status.code(), Some(0), "{}", told(&auto));
+    assert!(told(&auto).contains("openxr: "), "not the real one: {}", told(&auto));
+    assert_eq!(
+        told(&auto).matches("--motion look-around.toml is for the simulated headset").count(),
+        1,
+        "{}",
+        told(&auto)
+    );
+    let asked = run("openxr");
+    assert_eq!(asked.status.code(), Some(2), "{}", told(&asked));
+}
+
+/// Outputs that name an input are refused by every verb that would write over it.
+#[test]
+fn what_is_read_is_not_written_over() {
+    let folder = tempfile::tempdir().expect("a folder for the inputs");
+    let table = folder.path().join("unit.csv");
+    std::fs::write(&table, "t_s,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z\n0,0,0,0,0,0,9.81\n").expect("written");
+    let before = std::fs::read(&table).expect("read");
+    let scene = folder.path().join("scene.obj");
+    std::fs::write(&scene, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
+    let quality = folder.path().join("quality.toml");
+    std::fs::write(&quality, "[quality]\nmsaa = 1\n").expect("written");
+    let calls: [&[&std::ffi::OsStr]; 9] = [
+        arguments!["imu", "run", &table, "--axes", "6", "--out", &table],
+        arguments!["imu", "calibrate", &table, "--out", &table],
+        arguments!["slam", "eval", &table, &scene, "--output", &table],
+        arguments!["study", "report", &table, "--output", &table],
+        arguments!["study", "import", "csv", &table, "--output", &table],
+        arguments!["render", &scene, "-o", &scene],
+        arguments!["run", &scene, "--headset", "simulated", "--log-poses", &scene],
+        arguments!["run", &scene, "--headset", "simulated", "--quality", &quality, "--record", &quality],
+        arguments!["record", &table, "--config", &table],
+    ];
+    for call in calls {
+        let refused = vergence(call);
+        assert_eq!(refused.status.code(), Some(2), "{call:?}: {}", told(&refused));
+        assert!(told(&refused).contains("expected a file of its own"), "{call:?}: {}", told(&refused));
+    }
+    assert_eq!(std::fs::read(&table).expect("still there"), before);
+    assert!(std::fs::read_to_string(&scene).expect("still there").starts_with("v 0 0 0"));
+}
+
 #[test]
 fn a_wrong_call_is_told_from_failed_work() {
     let scene = sample();

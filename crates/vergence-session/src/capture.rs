@@ -47,19 +47,22 @@ pub(crate) struct Capture {
     dir: PathBuf,
     every: u64,
     inlet: Arc<Mutex<Inlet>>,
+    /// What is to be written, until the run begins.
+    outlet: Option<Receiver<Picture>>,
     writer: Option<JoinHandle<Result<Vec<String>, Error>>>,
 }
 
 impl Capture {
-    /// Makes the folder; `frames` is how long the run will be, where that is known.
-    pub(crate) fn start(config: &CaptureConfig, frames: Option<u64>) -> Result<Self, Error> {
+    /// Beside the pictures.
+    pub(crate) const FILES: [&str; 2] = ["poses.jsonl", "summary.json"];
+
+    /// Makes the folder, and changes nothing in one that is there; `frames` is how long the run will be, where that is known.
+    pub(crate) fn prepare(config: &CaptureConfig, frames: Option<u64>) -> Result<Self, Error> {
         let dir = config.dir.clone();
         if dir.exists() && !dir.is_dir() {
             let place = dir.display();
             return Err(Error::Call(format!("--capture {place}: expected a folder, found something else")));
         }
-        std::fs::create_dir_all(&dir).map_err(Error::write(&dir))?;
-        replace_earlier_run(&dir)?;
         let every = match config.every {
             Some(0) => return Err(Error::Call("--capture-every: expected 1 or more, found 0".into())),
             Some(every) => every,
@@ -67,15 +70,27 @@ impl Capture {
             // The first; the last comes from `newest`.
             None => u64::MAX,
         };
+        std::fs::create_dir_all(&dir).map_err(Error::write(&dir))?;
+        earlier_run(&dir)?;
         let (send, receive) = sync_channel(QUEUE);
-        let poses = PoseLog::create(&dir.join("poses.jsonl"))?;
-        let folder = dir.clone();
+        let inlet = Inlet { every, before: 0, newest: None, send: Some(send) };
+        Ok(Self { dir, every, inlet: Arc::new(Mutex::new(inlet)), outlet: Some(receive), writer: None })
+    }
+
+    /// Replaces what an earlier run has written, and begins to write; once.
+    pub(crate) fn begin(&mut self) -> Result<(), Error> {
+        let Some(pictures) = self.outlet.take() else { return Ok(()) };
+        for path in earlier_run(&self.dir)? {
+            std::fs::remove_file(&path).map_err(Error::write(&path))?;
+        }
+        let poses = PoseLog::create(&self.dir.join(Self::FILES[0]))?;
+        let folder = self.dir.clone();
         let writer = std::thread::Builder::new()
             .name("capture".into())
-            .spawn(move || write_all(&folder, poses, &receive))
-            .map_err(Error::write(&dir))?;
-        let inlet = Inlet { every, before: 0, newest: None, send: Some(send) };
-        Ok(Self { dir, every, inlet: Arc::new(Mutex::new(inlet)), writer: Some(writer) })
+            .spawn(move || write_all(&folder, poses, &pictures))
+            .map_err(Error::write(&self.dir))?;
+        self.writer = Some(writer);
+        Ok(())
     }
 
     /// Whether the frame's picture is one that is written for certain.
@@ -113,9 +128,12 @@ impl Capture {
         }
     }
 
-    /// Writes the report beside the pictures.
+    /// Writes the report beside the pictures; what an earlier run has written stays where this one has not begun.
     pub(crate) fn write_summary(&self, report: &RunReport) -> Result<(), Error> {
-        let path = self.dir.join("summary.json");
+        if self.outlet.is_some() {
+            return Ok(());
+        }
+        let path = self.dir.join(Self::FILES[1]);
         let text = serde_json::to_string_pretty(report)
             .map_err(|error| Error::Write { path: path.clone(), source: std::io::Error::other(error) })?;
         std::fs::write(&path, text + "\n").map_err(Error::write(&path))
@@ -144,8 +162,8 @@ impl Inlet {
     }
 }
 
-/// Takes away what an earlier run has written, so that no picture is mistaken for one of this run.
-fn replace_earlier_run(dir: &Path) -> Result<(), Error> {
+/// The files of an earlier run, which go, so that no picture is mistaken for one of this run.
+fn earlier_run(dir: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut pictures = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(Error::write(dir))? {
         let name = entry.map_err(Error::write(dir))?.file_name();
@@ -157,7 +175,7 @@ fn replace_earlier_run(dir: &Path) -> Result<(), Error> {
             pictures.push(dir.join(name));
         }
     }
-    let ours = ["poses.jsonl", "summary.json"].map(|name| dir.join(name));
+    let ours = Capture::FILES.map(|name| dir.join(name));
     // Every run writes its poses first: pictures without them are somebody else's.
     if !pictures.is_empty() && !ours[0].is_file() {
         return Err(Error::Call(format!(
@@ -166,10 +184,7 @@ fn replace_earlier_run(dir: &Path) -> Result<(), Error> {
             dir.display()
         )));
     }
-    for path in pictures.iter().chain(&ours).filter(|path| path.is_file()) {
-        std::fs::remove_file(path).map_err(Error::write(path))?;
-    }
-    Ok(())
+    Ok(pictures.into_iter().chain(ours).filter(|path| path.is_file()).collect())
 }
 
 fn picture_of(composed: ComposedFrame, before: u64) -> Picture {

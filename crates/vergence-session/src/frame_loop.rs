@@ -220,6 +220,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     if !std::mem::replace(&mut run.has_booked, true) {
         run.book = open_book(run, chosen, &client);
     }
+    run.begin_files()?;
     if let Some(book) = run.book.take() {
         client.set_tap(book);
         client.tell(|| Said::Event(Event::new(SESSION_BEGINS, "")));

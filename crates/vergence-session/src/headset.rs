@@ -52,7 +52,16 @@ pub(crate) fn choose(
             real(config, connection, "asked for".into())
         }
         HeadsetChoice::Auto => match Connection::open(Way::Loader, APP_NAME, &plan.extensions) {
-            Ok(connection) => real(config, connection, "a runtime with a headset was found".into()),
+            Ok(connection) => {
+                let unmoved = RunConfig { motion: None, ..config.clone() };
+                let chosen = real(&unmoved, connection, "a runtime with a headset was found".into())?;
+                if let Some(motion) = &config.motion {
+                    say(&format!(
+                        "--motion {motion} is for the simulated headset and is not used: the user moves the head"
+                    ));
+                }
+                Ok(chosen)
+            }
             Err(error) => {
                 log::info!("{error}");
                 simulated(config, plan, handed, error.brief())

@@ -21,6 +21,7 @@ use crate::frame_loop::{self, End};
 use crate::guest::Guest;
 use crate::headset::{self, Handed};
 use crate::markers::with_markers;
+use crate::own_file::own_file;
 use crate::place;
 use crate::pose_log::PoseLog;
 use crate::report::{RecordReport, RunReport};
@@ -57,7 +58,10 @@ pub(crate) struct Run<'a> {
     pub(crate) config: RunConfig,
     pub(crate) tally: Tally,
     pub(crate) capture: Option<Capture>,
+    /// From the first frame on.
     pub(crate) pose_log: Option<PoseLog>,
+    /// Whether earlier files were replaced by this run's.
+    pub(crate) has_begun: bool,
     pub(crate) desk: Option<Desk>,
     /// What moves the simulated headset, once it is open.
     pub(crate) motion: Option<Arc<dyn PoseProvider>>,
@@ -93,6 +97,18 @@ pub(crate) struct Again {
 }
 
 impl Run<'_> {
+    /// Replaces what an earlier run has written, now that everything that may fail is open.
+    pub(crate) fn begin_files(&mut self) -> Result<(), Error> {
+        if std::mem::replace(&mut self.has_begun, true) {
+            return Ok(());
+        }
+        if let Some(capture) = &mut self.capture {
+            capture.begin()?;
+        }
+        self.pose_log = self.config.log_poses.as_deref().map(PoseLog::create).transpose()?;
+        Ok(())
+    }
+
     /// Says a sentence that the user can act on, and keeps it for the report.
     pub(crate) fn say(&mut self, sentence: &str) {
         (self.watch)(Happening::Said(sentence));
@@ -172,15 +188,14 @@ fn whole<'a>(
     watch: &'a mut dyn FnMut(Happening<'_>),
 ) -> Result<Lived, Error> {
     check(config)?;
-    check_recording(scene, config)?;
+    check_outputs(scene, config)?;
     let requests = Requests {
         normal_maps: config.quality.normal_maps,
         hand_joints: config.hand_joints,
         eye_gaze: config.eye_gaze,
         hands: guest.is_some(),
     };
-    let capture = config.capture.as_ref().map(|c| Capture::start(c, config.frames)).transpose()?;
-    let pose_log = config.log_poses.as_deref().map(PoseLog::create).transpose()?;
+    let capture = config.capture.as_ref().map(|c| Capture::prepare(c, config.frames)).transpose()?;
     let marked = with_markers(scene);
     let mut run = Run {
         scene: Arc::clone(scene),
@@ -190,7 +205,8 @@ fn whole<'a>(
         config: config.clone(),
         tally: Tally::default(),
         capture,
-        pose_log,
+        pose_log: None,
+        has_begun: false,
         desk: if config.window { Some(Desk::open()?) } else { None },
         motion: guest.as_mut().and_then(|guest| guest.wearer()),
         session_time: None,
@@ -218,17 +234,20 @@ fn whole<'a>(
 }
 
 /// What the run reads must not be what it writes.
-fn check_recording(scene: &Scene, config: &RunConfig) -> Result<(), Error> {
-    let Some(record) = &config.record else { return Ok(()) };
-    // What is not there yet is read by nobody.
-    let Ok(path) = record.path.canonicalize() else { return Ok(()) };
-    let read = [&config.motion, &config.profile].into_iter().flatten().map(PathBuf::from);
-    if scene.files.iter().cloned().chain(read).any(|file| file.canonicalize().is_ok_and(|file| file == path))
-    {
-        return Err(Error::Call(format!(
-            "--record {}: expected a file of its own, found one that this run reads",
-            record.path.display()
-        )));
+fn check_outputs(scene: &Scene, config: &RunConfig) -> Result<(), Error> {
+    let named = [&config.motion, &config.profile].into_iter().flatten().map(PathBuf::from);
+    let mut read: Vec<PathBuf> = scene.files.iter().cloned().chain(named).collect();
+    let record = config.record.as_ref().map(|record| ("--record", record.path.as_path()));
+    let log_poses = config.log_poses.as_deref().map(|path| ("--log-poses", path));
+    for (option, path) in [record, log_poses].into_iter().flatten() {
+        own_file(option, path, &read)?;
+        // The next one must not be this one either.
+        read.push(path.to_owned());
+    }
+    if let Some(capture) = &config.capture {
+        for name in Capture::FILES {
+            own_file("--capture", &capture.dir.join(name), &read)?;
+        }
     }
     Ok(())
 }
@@ -321,6 +340,10 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
         notices.push(sentence.to_owned());
     })?;
     run.config.headset = if chosen.is_simulated { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
+    if !chosen.is_simulated {
+        // Neither the recording nor a session after a loss is to know of what was not used.
+        run.config.motion = None;
+    }
     run.config.wait_s = run.config.wait_s.max(COME_BACK_S);
     if run.report.headset.is_empty() {
         let description = chosen.connection.description();

@@ -5,7 +5,7 @@
 mod stage;
 
 use stage::{Folder, config, disc, has_vulkan};
-use vergence_session::{CaptureConfig, Happening, RunConfig, run};
+use vergence_session::{CaptureConfig, Happening, RecordConfig, RunConfig, run};
 
 /// Starting, ending and recentring are the user's own doing: of them nothing is said.
 #[test]
@@ -91,6 +91,62 @@ fn an_earlier_runs_pictures_are_replaced_and_others_are_not_touched() {
     let error = shoot(2).unwrap_err();
     assert!(error.is_wrong_call() && error.to_string().contains("found 2 pictures"), "{error}");
     assert!(dir.join("frame-000001.png").is_file());
+}
+
+/// A run that cannot begin leaves what an earlier one has written.
+#[test]
+fn an_earlier_run_stays_where_the_next_one_cannot_begin() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = Folder::new("kept");
+    let dir = folder.0.join("pictures");
+    let capture = Some(CaptureConfig { dir: dir.clone(), every: Some(1) });
+    let log_poses = Some(folder.0.join("poses.jsonl"));
+    let good = RunConfig { capture, log_poses, ..config(&folder, 2) };
+    run(&disc(false), &good, &mut |_| {}).unwrap();
+    let files = [
+        dir.join("frame-000001.png"),
+        dir.join("poses.jsonl"),
+        dir.join("summary.json"),
+        folder.0.join("poses.jsonl"),
+    ];
+    let read = || files.each_ref().map(|file| std::fs::read(file).unwrap());
+    let before = read();
+    let quality = vergence_render::Quality { msaa: 3, ..good.quality.clone() };
+    let fault = vergence_session::Fault::parse("xrCreateSession=ERROR_LIMIT_REACHED").unwrap();
+    let faults = vergence_session::FaultPlan::new(vec![fault]);
+    for wrong in [
+        RunConfig { motion: Some("no-such-motion.toml".into()), ..good.clone() },
+        RunConfig { quality, ..good.clone() },
+        RunConfig { faults, ..good.clone() },
+    ] {
+        run(&disc(false), &wrong, &mut |_| {}).unwrap_err();
+        assert!(read() == before, "{:?} {:?}", wrong.motion, wrong.faults);
+    }
+}
+
+/// Whatever a run writes must not be what it reads, nor two things one file.
+#[test]
+fn a_run_refuses_to_write_what_it_reads() {
+    let folder = Folder::new("own-files");
+    let motion = folder.0.join("motion.toml");
+    std::fs::write(&motion, "not read before it is refused").unwrap();
+    let base = RunConfig { motion: Some(motion.display().to_string()), ..config(&folder, 1) };
+    let record = |path| Some(RecordConfig { path, durable: false, hash_frames: None, attach_scene: false });
+    let capture = Some(CaptureConfig { dir: folder.0.clone(), every: None });
+    let new = folder.0.join("new");
+    let wrong = [
+        ("--log-poses", RunConfig { log_poses: Some(motion.clone()), ..base.clone() }),
+        ("--record", RunConfig { record: record(motion.clone()), ..base.clone() }),
+        ("--log-poses", RunConfig { record: record(new.clone()), log_poses: Some(new), ..base.clone() }),
+        ("--capture", RunConfig { capture, log_poses: Some(folder.0.join("poses.jsonl")), ..base.clone() }),
+    ];
+    for (option, wrong) in wrong {
+        let error = run(&disc(false), &wrong, &mut |_| {}).unwrap_err();
+        assert!(error.is_wrong_call() && error.to_string().starts_with(option), "{option}: {error}");
+    }
+    assert_eq!(std::fs::read_to_string(&motion).unwrap(), "not read before it is refused");
 }
 
 #[test]

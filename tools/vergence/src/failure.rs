@@ -1,5 +1,6 @@
 //! How a verb ends when it does not end well.
 
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// Why a verb did not do what was asked; becomes the exit status.
@@ -32,6 +33,11 @@ impl Failure {
             }
             _ => Self::work(error),
         }
+    }
+
+    /// Refuses to write what is read: `option` is what the user calls the output.
+    pub fn unless_own(option: &str, output: &Path, read: &[PathBuf]) -> Result<(), Self> {
+        vergence_session::own_file(option, output, read).map_err(|error| Self::call(&error))
     }
 
     /// Says it on stderr and gives the exit status.

@@ -90,6 +90,9 @@ impl Args {
     /// Records, and says how that went.
     pub fn run(self) -> Result<(), Failure> {
         let log_failed = |error: &vergence_log::Error| Failure::work(error);
+        if let Some(config) = &self.config {
+            Failure::unless_own("OUTPUT", &self.output, std::slice::from_ref(config))?;
+        }
         let clock: Arc<dyn Clock> = Arc::new(HostClock::start());
         let stop = interrupted()?;
         let mut opened = open(&self.devices, self.config.as_ref(), &clock)?;

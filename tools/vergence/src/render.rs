@@ -139,6 +139,9 @@ impl Args {
             return Err(Failure::Call("--json and -o -: expected one of them on stdout, found both".into()));
         }
         let scene = self.prepare()?;
+        if let Some(Output::File(output)) = &self.output {
+            Failure::unless_own("--output", output, &scene.files)?;
+        }
         let framing = self.frame(&scene)?;
         let all =
             framing.views(f64::from(self.size.0) / f64::from(self.size.1)).map_err(|e| Failure::call(&e))?;

@@ -124,6 +124,13 @@ impl Args {
     pub fn run(self) -> Result<(), Failure> {
         let config = self.config()?;
         let scene = Arc::new(loading::scene(&self.scene)?);
+        if let Some(quality) = &self.quality {
+            let outputs = [("--log-poses", self.log_poses.as_deref()), ("--record", self.record.as_deref())];
+            for (option, path) in outputs {
+                let Some(path) = path else { continue };
+                Failure::unless_own(option, path, std::slice::from_ref(quality))?;
+            }
+        }
         stop_on_signals(&config.stop)?;
         let bar = self.bar();
         let mut watch = |happening: Happening<'_>| match happening {

@@ -70,6 +70,7 @@ impl Args {
         };
         positive("gravity", self.gravity)?;
         self.field.map_or(Ok(()), |field| positive("field", field))?;
+        super::input::check_out(&self.out, &[Some(&self.input)])?;
         let recording = Recording::read(&self.input).map_err(|error| Failure::work(&error))?;
         let params = CalibrateParams { gravity_m_s2: self.gravity, field_ut: self.field };
         let found = calibrate(&recording.samples, &params)

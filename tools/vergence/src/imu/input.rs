@@ -1,12 +1,19 @@
 //! Where samples come from: a text recording, or a stream of a session's log.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use vergence_inertial::Recording;
 use vergence_log::Reader;
 use vergence_sense::Imu;
 
 use crate::failure::Failure;
+
+/// Refuses an output that is one of the inputs, or the table of an input that is EuRoC's folder.
+pub fn check_out(out: &Path, inputs: &[Option<&PathBuf>]) -> Result<(), Failure> {
+    let read: Vec<PathBuf> =
+        inputs.iter().copied().flatten().flat_map(|input| [input.clone(), input.join("data.csv")]).collect();
+    Failure::unless_own("--out", out, &read)
+}
 
 /// Reads the recording at `path`: a session's log where it ends with `.mcap`, from the stream `stream` or the only one of an
 /// inertial unit; else text.

@@ -72,6 +72,8 @@ impl ValueEnum for Name {
 impl Args {
     /// Reads, filters, writes.
     pub fn run(self) -> Result<(), Failure> {
+        let read = [Some(&self.input), self.config.as_ref(), self.calibration.as_ref()];
+        input::check_out(&self.out, &read)?;
         let calibration = self.calibration.as_deref().map(Calibration::read).transpose();
         let calibration = calibration.map_err(|error| Failure::call(&error))?;
         let mut recording = input::read(&self.input, self.stream.as_deref())?;

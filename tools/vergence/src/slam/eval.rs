@@ -42,8 +42,12 @@ impl Args {
     /// Reads both, compares, prints, draws.
     pub fn run(self) -> Result<(), Failure> {
         let failed = |error: vergence_slam::Error| Failure::work(&error);
+        let truth_file = truth_in(&self.truth);
+        if let Some(output) = &self.output {
+            Failure::unless_own("--output", output, &[self.estimate.clone(), truth_file.clone()])?;
+        }
         let estimate = Trajectory::read(&self.estimate).map_err(failed)?;
-        let truth = Trajectory::read(&truth_in(&self.truth)).map_err(failed)?;
+        let truth = Trajectory::read(&truth_file).map_err(failed)?;
         let align = match self.align {
             Moved::Se3 => Align::Se3,
             Moved::Sim3 => Align::Sim3,

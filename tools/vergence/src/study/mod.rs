@@ -344,6 +344,16 @@ impl Input {
         Ok(Found::Trials(all))
     }
 
+    /// Refuses outputs that are recordings or column maps that are read.
+    fn check_outputs(&self, option: &str, outputs: &[PathBuf]) -> Result<(), Failure> {
+        let mut read = files_of(&self.inputs)?;
+        read.extend(self.columns.iter().map(PathBuf::from));
+        let maps: Vec<PathBuf> = read.iter().map(|file| file.with_extension("toml")).collect();
+        // A map that is not there is not read.
+        read.extend(maps.into_iter().filter(|map| map.is_file()));
+        outputs.iter().try_for_each(|output| Failure::unless_own(option, output, &read))
+    }
+
     fn analysis(&self) -> Result<(Analysis, Option<Imported>, Vec<String>), Failure> {
         match self.read()? {
             Found::Sums(analysis, notes) => Ok((*analysis, None, notes)),
@@ -369,6 +379,10 @@ struct Analyze {
 
 impl Analyze {
     fn run(self) -> Result<(), Failure> {
+        if let Some(folder) = &self.csv {
+            let outputs = ["conditions.csv", "trials.csv", "trials.toml"].map(|name| folder.join(name));
+            self.input.check_outputs("--csv", &outputs)?;
+        }
         let (analysis, trials, notes) = self.input.analysis()?;
         for note in &notes {
             log::warn!("{note}");
@@ -496,6 +510,7 @@ struct Report {
 
 impl Report {
     fn run(self) -> Result<(), Failure> {
+        self.input.check_outputs("--output", std::slice::from_ref(&self.output))?;
         let (analysis, trials, notes) = self.input.analysis()?;
         let named = || match &self.input.inputs[..] {
             [folder] => {
@@ -538,6 +553,11 @@ impl Import {
                 self.output.display()
             )));
         }
+        let mut outputs = vec![self.output.clone()];
+        if is_table || is_parquet {
+            outputs.push(self.output.with_extension("toml"));
+        }
+        self.input.check_outputs("--output", &outputs)?;
         self.input.tool = Some(self.from);
         let all = match self.input.read()? {
             Found::Trials(all) => all,
