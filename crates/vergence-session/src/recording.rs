@@ -89,12 +89,18 @@ impl Recording {
     ) -> Result<Self, Error> {
         let actions: Vec<String> =
             run.plan.actions.actions.iter().map(|action| action.name.to_owned()).collect();
+        // A runtime's own faults are done again in a replay, which therefore asks for what the simulated headset has, be it
+        // that a fault took it away. What another runtime did not offer is not in a replay.
+        let has = |asked: bool, simulated: bool, read: bool| {
+            if chosen.is_simulated { asked && simulated } else { read }
+        };
+        let hand_joints = has(run.config.hand_joints, chosen.profile.hands, client.reads_hand_joints());
+        let eye_gaze = has(run.config.eye_gaze, chosen.profile.gaze, client.reads_gaze());
         let resolved = Resolved {
             hash_frames: hashes,
             build: if hashes { provenance::build() } else { String::new() },
-            // What the runtime did not offer was not asked for, and is not in a replay.
-            hand_joints: client.reads_hand_joints(),
-            eye_gaze: client.reads_gaze(),
+            hand_joints,
+            eye_gaze,
             ..Resolved::of(&run.config, &chosen.profile, chosen.is_simulated, actions)
         };
         let is_virtual = resolved.simulated && !resolved.real_time;
@@ -114,8 +120,8 @@ impl Recording {
         };
         let contents = Contents {
             actions: &run.plan.actions,
-            hand_joints: client.reads_hand_joints(),
-            eye_gaze: client.reads_gaze(),
+            hand_joints,
+            eye_gaze,
             hashes: hashes.then(|| hashed(&client.pictures())),
             is_virtual,
         };

@@ -22,7 +22,7 @@ pub(crate) struct Resolved {
     pub(crate) seconds: Option<f64>,
     pub(crate) retries: u32,
     pub(crate) quality: QualityRecord,
-    /// Hands were asked for, and the runtime offered them.
+    /// Hands were asked for, and the runtime offered them; the simulated headset has them.
     pub(crate) hand_joints: bool,
     /// As for hands.
     pub(crate) eye_gaze: bool,

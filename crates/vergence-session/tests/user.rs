@@ -168,7 +168,12 @@ fn streams_that_the_runtime_lacks_are_warned_of() {
         return;
     }
     let folder = Folder::new("streams");
-    let config = RunConfig { hand_joints: true, eye_gaze: true, ..config(&folder, 3) };
+    let sees = config(&folder, 3).profile.unwrap();
+    let blind = folder.0.join("blind.toml");
+    let text = std::fs::read_to_string(sees).unwrap();
+    std::fs::write(&blind, format!("hands = false\ngaze = false\n{text}")).unwrap();
+    let profile = Some(blind.to_str().unwrap().to_owned());
+    let config = RunConfig { hand_joints: true, eye_gaze: true, profile, ..config(&folder, 3) };
     let report = run(&disc(false), &config, &mut |_| {}).unwrap();
     assert_eq!(report.frames, 3);
     for stream in ["joints", "gaze"] {

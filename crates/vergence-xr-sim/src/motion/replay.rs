@@ -284,7 +284,14 @@ impl Replay {
         let located = |said: &Said| matches!(said, Said::Place { of, .. } if *of == wanted);
         // What was asked next, if that failed, was where something is.
         let next = inner.current.left().map(|(_, said)| said).find(|said| {
-            matches!(said, Said::Place { .. } | Said::Control { .. } | Said::Views { .. } | Said::Result(_))
+            matches!(
+                said,
+                Said::Place { .. }
+                    | Said::Control { .. }
+                    | Said::Joints { .. }
+                    | Said::Views { .. }
+                    | Said::Result(_)
+            )
         });
         let fails = matches!(next, Some(Said::Result(result)) if result.call == "xrLocateSpace");
         fails || inner.current.said.iter().any(located)
