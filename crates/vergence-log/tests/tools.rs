@@ -241,3 +241,49 @@ fn a_part_ends_after_it_begins() {
     let refused = cut(&path, nowhere, &Part::default(), &mut |_, _| {}).unwrap_err().to_string();
     assert_eq!(refused, "/no/such/folder/part.mcap: cannot be created");
 }
+
+/// The first chunk announces a stream and is damaged, and so is the summary that would announce it again.
+fn without_announcement(dir: &Path) -> (PathBuf, u64) {
+    let path = dir.join("a.mcap");
+    let mut recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
+    let early = recorder.stream::<Scalar>(&StreamDesc::new("/early")).unwrap();
+    for step in 0..300 {
+        recorder.write(&early, Times::at(at(step)), &Scalar((step as f64).sin()));
+        if step % 100 == 99 {
+            recorder.sync().unwrap();
+        }
+    }
+    // Announced in the chunk that it begins in, with a schema that nobody else has.
+    let late = recorder.stream::<Vector2>(&StreamDesc::new("/late")).unwrap();
+    for step in 300..350 {
+        recorder.write(&late, Times::at(at(step)), &Vector2(Some([step as f32, 0.0])));
+    }
+    recorder.finish().unwrap();
+    let mut reader = Reader::open(&path).unwrap();
+    let first = reader.next().unwrap().unwrap().place.offset;
+    let mut lost = 0;
+    while let Some(entry) = reader.next().unwrap() {
+        lost += u64::from(entry.stream.name == "/early" && entry.place.offset > first);
+    }
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[first as usize + 100] ^= 1;
+    // The footer: opcode and length, where the summary begins, where its offsets begin, its checksum; then the magic.
+    let footer = bytes.len() - 8 - 20 - 9;
+    let summary = u64::from_le_bytes(bytes[footer + 9..footer + 17].try_into().unwrap()) as usize;
+    // The length of its first record: behind the end of the file.
+    bytes[summary + 7] ^= 0x40;
+    std::fs::write(&path, bytes).unwrap();
+    (path, lost)
+}
+
+/// Where the summary is damaged, too, what comes behind the chunks that nobody announced is read all the same.
+#[test]
+fn a_damaged_summary_costs_no_chunk() {
+    let dir = TempDir::new().unwrap();
+    let (path, _) = without_announcement(dir.path());
+    let mended = dir.path().join("mended.mcap");
+    let found = repair(&path, &mended, Limits::default(), &mut |_, _| {}).unwrap();
+    assert_eq!(found.messages, 50, "{found:?}");
+    let late = Reader::read_all::<Vector2>(&mended, "/late").unwrap();
+    assert!(late.iter().map(|sample| sample.value.0).eq((300..350).map(|step| Some([step as f32, 0.0]))));
+}

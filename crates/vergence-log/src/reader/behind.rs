@@ -118,6 +118,8 @@ impl Reader {
             return Ok(());
         }
         let (before, mut ending) = (self.at, [0; ENDING]);
+        // What is found here says nothing of where the chunks end that are being read.
+        let how_it_ends = (self.ending, self.behind);
         // The message that is waiting may lie in it.
         let waiting = std::mem::take(&mut self.body);
         self.read_at(self.length - ENDING as u64, &mut ending)?;
@@ -134,8 +136,8 @@ impl Reader {
                 drop(self.take_body(head, &body));
                 self.body = body;
             }
-            self.behind = None;
         }
+        (self.ending, self.behind) = how_it_ends;
         self.body = waiting;
         self.seek(before)
     }
