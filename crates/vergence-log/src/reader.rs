@@ -257,6 +257,8 @@ pub struct Reader {
     metadata: Vec<(String, BTreeMap<String, String>)>,
     attachments: Vec<Attachment>,
     ending: Option<Ending>,
+    /// Messages that were passed over, by the number of their stream.
+    unannounced: BTreeMap<u16, u64>,
     /// A record that was damaged, until it is known where reading goes on behind it.
     behind: Option<Behind>,
     /// Streams were looked for at the end of the file, too.
@@ -302,6 +304,7 @@ impl Reader {
             metadata: Vec::new(),
             attachments: Vec::new(),
             ending: None,
+            unannounced: BTreeMap::new(),
             behind: None,
             summary_read: false,
         };
@@ -404,6 +407,12 @@ impl Reader {
         self.ending
     }
 
+    /// How many messages, so far, are of streams whose announcement is lost, by their numbers: nothing says what they carry.
+    /// [`Reader::next`] says so as damage once per stream and passes over the others.
+    pub fn unannounced(&self) -> &BTreeMap<u16, u64> {
+        &self.unannounced
+    }
+
     /// Bytes read so far and in all, for a progress bar.
     pub fn progress(&self) -> (u64, u64) {
         (self.at, self.length)
@@ -415,15 +424,24 @@ impl Reader {
     /// Where the file cannot be read or is damaged. Asked again after damage, it goes on with what is whole behind it.
     #[expect(clippy::should_implement_trait, reason = "an entry borrows the reader")]
     pub fn next(&mut self) -> Result<Option<Entry<'_>>, Error> {
-        let Some(found) = self.advance()? else { return Ok(None) };
-        if !self.streams.contains_key(&found.channel) {
-            self.read_summary()?;
-        }
-        let Some(stream) = self.streams.get(&found.channel) else {
-            let (place, found) = (found.place, format!("number {}", found.channel));
-            let malformed = Malformed::new("a message of a stream that was announced", found);
-            return Err(self.damaged(place.offset, malformed));
+        let found = loop {
+            let Some(found) = self.advance()? else { return Ok(None) };
+            if !self.streams.contains_key(&found.channel) {
+                self.read_summary()?;
+            }
+            if self.streams.contains_key(&found.channel) {
+                break found;
+            }
+            let count = self.unannounced.entry(found.channel).or_default();
+            *count += 1;
+            if *count == 1 {
+                let (place, found) = (found.place, format!("number {}", found.channel));
+                let malformed = Malformed::new("a message of a stream that was announced", found);
+                return Err(self.damaged(place.offset, malformed));
+            }
         };
+        // It was looked for just now.
+        let stream = &self.streams[&found.channel];
         let buffer = if found.in_chunk { &self.chunk } else { &self.body };
         Ok(Some(Entry {
             stream,

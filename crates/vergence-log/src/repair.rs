@@ -1,5 +1,6 @@
 //! A whole log out of a damaged one.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Serialize;
@@ -20,10 +21,15 @@ pub struct Repair {
     pub cut_off_at: Option<u64>,
     /// Bytes behind the last whole record.
     pub lost_bytes_at_end: u64,
-    /// Damage before that: where, and what was expected and found.
+    /// Damage before that: where, and what was expected and found. The first thousand places.
     pub damaged: Vec<String>,
+    /// Places of damage in all.
+    pub damaged_count: u64,
     /// Messages whose numbers are missing.
     pub missing: u64,
+    /// Messages that are missing because the announcement of their stream is lost, by the stream's number in the old
+    /// file: nothing says what they carry.
+    pub unannounced: BTreeMap<u16, u64>,
     /// Attachments that were damaged and are not in the new file.
     pub lost_attachments: Vec<String>,
 }
@@ -47,7 +53,7 @@ pub fn repair(
     if let Some(session) = session {
         writer.session(session)?;
     }
-    let mut next: std::collections::BTreeMap<u16, u32> = std::collections::BTreeMap::new();
+    let mut next: BTreeMap<u16, u32> = BTreeMap::new();
     loop {
         if found.messages.is_multiple_of(1024) {
             let (read, all) = copier.reader.progress();
@@ -74,9 +80,10 @@ pub fn repair(
             }
             Ok(None) => break,
             Err(Error::Damaged { at, expected, found: there, .. }) => {
-                found.damaged.push(format!("byte {at}: expected {expected}, found {there}"));
-                if found.damaged.len() > MOST_DAMAGE {
-                    return Err(Error::Request(format!("{}: too much is damaged", from.display())));
+                // Reading goes on behind each, so there are no more of them than the file has bytes.
+                found.damaged_count += 1;
+                if found.damaged.len() < DAMAGE_KEPT {
+                    found.damaged.push(format!("byte {at}: expected {expected}, found {there}"));
                 }
             }
             Err(error) => return Err(error),
@@ -92,15 +99,16 @@ pub fn repair(
     Ok(found)
 }
 
-/// More single places of damage than any disk leaves: the file is something else.
-const MOST_DAMAGE: usize = 100_000;
+/// Places of damage that are told one by one.
+const DAMAGE_KEPT: usize = 1000;
 
 fn end(reader: &Reader, found: &mut Repair) {
+    found.unannounced.clone_from(reader.unannounced());
     match reader.ending() {
         Some(Ending::CutOff { at }) => {
             found.cut_off_at = Some(at);
             found.lost_bytes_at_end = reader.progress().1.saturating_sub(at);
         }
-        _ => found.was_complete = found.damaged.is_empty() && found.lost_attachments.is_empty(),
+        _ => found.was_complete = found.damaged_count == 0 && found.lost_attachments.is_empty(),
     }
 }

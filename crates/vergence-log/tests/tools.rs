@@ -276,6 +276,19 @@ fn without_announcement(dir: &Path) -> (PathBuf, u64) {
     (path, lost)
 }
 
+/// Messages of a stream that nothing announces are one place of damage, however many they are, and are counted.
+#[test]
+fn a_stream_whose_announcement_is_lost_is_one_place_of_damage() {
+    let dir = TempDir::new().unwrap();
+    let (path, lost) = without_announcement(dir.path());
+    let found = repair(&path, &dir.path().join("mended.mcap"), Limits::default(), &mut |_, _| {}).unwrap();
+    assert!(lost >= 200, "{lost}");
+    assert_eq!(found.unannounced, [(1, lost)].into());
+    let of_stream = found.damaged.iter().filter(|place| place.contains("number 1")).count();
+    assert_eq!((of_stream, found.damaged_count), (1, found.damaged.len() as u64), "{:?}", found.damaged);
+    assert!(!found.was_complete);
+}
+
 /// Where the summary is damaged, too, what comes behind the chunks that nobody announced is read all the same.
 #[test]
 fn a_damaged_summary_costs_no_chunk() {

@@ -317,6 +317,13 @@ fn told(output: &Path, found: &Repair) {
     for place in &found.damaged {
         println!("damaged: {place}");
     }
+    let more = found.damaged_count.saturating_sub(found.damaged.len() as u64);
+    if more > 0 {
+        println!("damaged: {more} more places");
+    }
+    for (number, count) in &found.unannounced {
+        println!("missing: {count} messages of stream number {number}, whose announcement is lost");
+    }
     if found.missing > 0 {
         println!("missing: {} messages, by their numbers", found.missing);
     }
