@@ -18,6 +18,7 @@ mod record;
 mod render;
 mod replay;
 mod run;
+mod sim;
 mod slam;
 mod stats;
 mod stream;
@@ -54,6 +55,7 @@ enum Verb {
     Render(render::Args),
     Replay(replay::Args),
     Run(Box<run::Args>),
+    Sim(sim::Args),
     Slam(slam::Args),
     Stats(stats::Args),
     Study(study::Args),
@@ -72,6 +74,7 @@ impl Verb {
             Self::Render(verb) => verb.run(),
             Self::Replay(verb) => verb.run(),
             Self::Run(verb) => verb.run(),
+            Self::Sim(verb) => verb.run(),
             Self::Slam(verb) => verb.run(),
             Self::Stats(verb) => verb.run(),
             Self::Study(verb) => verb.run(),
