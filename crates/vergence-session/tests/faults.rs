@@ -417,6 +417,30 @@ fn every_fault_at_every_call_ends_in_the_state_that_the_table_says() {
     assert!(wrong.is_empty(), "{} cells failed", wrong.len());
 }
 
+/// A picture that the runtime does not take back is not shown: its frame is ended all the same, and not said to be seen.
+#[test]
+fn a_frame_whose_picture_is_not_released_is_ended_without_it() {
+    if !has_vulkan() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, profile) = (floor(), profile(folder.path()));
+    let log = folder.path().join("session.mcap");
+    let record = RecordConfig { path: log.clone(), durable: false, hash_frames: None, attach_scene: false };
+    let plan = FaultPlan::new([Fault::parse("xrReleaseSwapchainImage=ERROR_RUNTIME_FAILURE@5").unwrap()]);
+    let config = RunConfig { record: Some(record), ..config(&profile, plan.clone(), 9.0) };
+    let report = run(&scene, &config, &mut |_| {}).unwrap();
+    assert_eq!((plan.hits().len(), report.frames, report.losses), (1, FRAMES, 0));
+    let calls = plan.calls();
+    assert_eq!(calls["xrEndFrame"], calls["xrBeginFrame"], "{calls:?}");
+    let mut reader = vergence_log::Reader::open(&log).unwrap();
+    let mut submitted = 0;
+    while let Some(entry) = reader.next().unwrap() {
+        submitted += u64::from(entry.stream.name == "/views/submitted");
+    }
+    assert_eq!(submitted, report.frames, "pictures that were handed over");
+}
+
 /// How a recording under a fault was lived through again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Again {

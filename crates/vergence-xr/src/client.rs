@@ -485,13 +485,6 @@ impl Client {
     /// # Errors
     /// A loss, or a call out of order.
     pub fn end(&mut self, frame: &Frame, shown: Option<&Located>) -> Result<(), Error> {
-        self.ear.hear(|| Said::Submitted {
-            display: frame.prediction.display,
-            views: shown.map(|shown| {
-                let views = (0..shown.views().len()).map(|view| shown.raw(view));
-                raw_views(openxr::ViewStateFlags::EMPTY, views)
-            }),
-        });
         let ended = self.release_and_end(frame, shown);
         self.note(ended)
     }
@@ -519,17 +512,27 @@ impl Client {
     }
 
     fn release_and_end(&mut self, frame: &Frame, shown: Option<&Located>) -> Result<(), Error> {
-        let Self { clock, session, color, depth, local, pictures, near_m, ear, .. } = self;
-        if self.begun.take().is_none() {
+        let Self { clock, session, color, depth, local, pictures, near_m, ear, begun, .. } = self;
+        if begun.is_none() {
             // The session ended in between: there is no frame to end.
             return Ok(());
         }
         let near_z = *near_m as f32;
         clock.during(|| {
             if shown.is_some() {
+                // What is not released is not shown: the frame stays begun, and is ended without it.
                 color.release(ear)?;
                 depth.as_mut().map_or(Ok(()), |depth| depth.release(ear))?;
             }
+            // From here on it is with the runtime, whatever that answers.
+            *begun = None;
+            ear.hear(|| Said::Submitted {
+                display: frame.prediction.display,
+                views: shown.map(|shown| {
+                    let views = (0..shown.views().len()).map(|view| shown.raw(view));
+                    raw_views(openxr::ViewStateFlags::EMPTY, views)
+                }),
+            });
             let Pictures { size, views, .. } = *pictures;
             let depth_info = std::array::from_fn::<_, { Located::MOST_VIEWS }, _>(|view| {
                 depth.as_ref().map(|depth| sys::CompositionLayerDepthInfoKHR {
