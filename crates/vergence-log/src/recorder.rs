@@ -231,12 +231,17 @@ impl Recorder {
     ///
     /// # Errors
     /// Where the file could not be written to its end and [`Recorder::failure`] has not said so before.
-    pub fn finish(mut self) -> Result<Status, Error> {
-        self.end();
-        match self.failure.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            Some(error) => Err(error),
-            None => Ok(self.status()),
+    pub fn finish(self) -> Result<Status, Error> {
+        match self.close() {
+            (_, Some(error)) => Err(error),
+            (status, None) => Ok(status),
         }
+    }
+
+    /// As [`Recorder::finish`], with how the recording stands also where it failed.
+    pub fn close(mut self) -> (Status, Option<Error>) {
+        self.end();
+        (self.status(), self.failure.lock().unwrap_or_else(PoisonError::into_inner).take())
     }
 
     fn end(&mut self) {

@@ -307,9 +307,9 @@ impl Recording {
         }
     }
 
-    /// Writes what is left and ends the file.
-    pub(crate) fn finish(self) -> Result<vergence_log::Status, vergence_log::Error> {
-        self.recorder.finish()
+    /// Writes what is left and ends the file: how that went, and why it failed where that was not said before.
+    pub(crate) fn close(self) -> (vergence_log::Status, Option<vergence_log::Error>) {
+        self.recorder.close()
     }
 }
 

@@ -52,6 +52,25 @@ pub struct RecordReport {
     pub error: Option<String>,
 }
 
+impl RecordReport {
+    /// Takes over how the recording ended, whatever `failure` was not said before.
+    pub(crate) fn end(&mut self, status: vergence_log::Status, failure: Option<&vergence_log::Error>) {
+        (self.messages, self.dropped) = (status.taken, status.dropped);
+        if let Some(error) = failure {
+            self.error = Some(crate::error::with_cause(error));
+        } else if status.failed && self.error.is_none() {
+            self.error = Some(format!("{}: recording ended early, and nobody knows why", self.path));
+        }
+    }
+
+    /// What the log lacks, in a sentence; `None` where it holds all that was said.
+    pub fn shortfall(&self) -> Option<String> {
+        let dropped =
+            || format!("{} messages found the recorder's queue full and are not in the log", self.dropped);
+        self.error.clone().or_else(|| (self.dropped > 0).then(dropped))
+    }
+}
+
 /// What a run was like. Its JSON is an interface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunReport {
@@ -172,5 +191,36 @@ impl std::fmt::Display for RunReport {
             writeln!(f, "frame {:<8} {} hand {} {}", touch.frame, touch.hand, touch.what, touch.name)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vergence_log::{Error, Status};
+
+    #[test]
+    fn a_recording_that_failed_says_so_and_how_much_it_took() {
+        let ended = |status, error: Option<&Error>| {
+            let mut report = RecordReport { path: "a.mcap".into(), ..RecordReport::default() };
+            report.end(status, error);
+            report
+        };
+        let well = ended(Status { taken: 9, ..Status::default() }, None);
+        assert_eq!((well.messages, well.shortfall()), (9, None));
+        let full = ended(Status { taken: 9, dropped: 2, failed: false }, None);
+        assert_eq!((full.dropped, full.error.as_ref()), (2, None));
+        assert!(full.shortfall().is_some_and(|sentence| sentence.starts_with("2 messages")));
+        // A failure that is first seen at the end leaves what was taken.
+        let status = Status { taken: 9, dropped: 4, failed: true };
+        let failed = ended(status, Some(&Error::Request("the disk is full".into())));
+        assert_eq!((failed.messages, failed.dropped), (9, 4));
+        assert_eq!(failed.shortfall().as_deref(), Some("the disk is full"));
+        // One that nobody explains is one all the same.
+        assert!(ended(status, None).shortfall().is_some_and(|sentence| sentence.contains("a.mcap")));
+        // What was said while the session ran stays.
+        let mut said = RecordReport { error: Some("said".into()), ..RecordReport::default() };
+        said.end(status, None);
+        assert_eq!((said.messages, said.shortfall().as_deref()), (9, Some("said")));
     }
 }

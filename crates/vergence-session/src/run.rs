@@ -24,7 +24,7 @@ use crate::markers::with_markers;
 use crate::own_file::own_file;
 use crate::place;
 use crate::pose_log::PoseLog;
-use crate::report::{RecordReport, RunReport};
+use crate::report::RunReport;
 use crate::tally::Tally;
 use crate::verify::{Comparison, HUNG, Verifier};
 
@@ -366,20 +366,12 @@ fn close_book(run: &mut Run<'_>) -> Option<Comparison> {
     let mut book = run.book.take()?;
     if let Some(recording) = book.recording.take() {
         let frame_us = book.cost_us();
-        let ended = recording.finish();
+        let (status, failure) = recording.close();
         let report = run.report.recording.get_or_insert_default();
         report.frame_us = frame_us;
-        match ended {
-            Ok(status) => (report.messages, report.dropped) = (status.taken, status.dropped),
-            Err(error) => {
-                let sentence = crate::error::with_cause(&error);
-                report.error = Some(sentence.clone());
-                run.say(&sentence);
-            }
-        }
-        if let Some(RecordReport { dropped: dropped @ 1.., error: None, .. }) = &run.report.recording {
-            let sentence =
-                format!("{dropped} messages found the recorder's queue full and are not in the log");
+        let was_said = report.error.is_some();
+        report.end(status, failure.as_ref());
+        if let Some(sentence) = report.shortfall().filter(|_| !was_said) {
             run.say(&sentence);
         }
     }

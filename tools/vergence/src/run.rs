@@ -5,7 +5,9 @@ use std::sync::Arc;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use vergence_session::{CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig};
+use vergence_session::{
+    CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RecordReport, RunConfig,
+};
 
 use crate::failure::Failure;
 use crate::framing;
@@ -157,11 +159,13 @@ impl Args {
                 println!("summary        {}", dir.join("summary.json").display());
             }
         }
-        match report.validation_messages {
-            Some(count @ 1..) => {
-                Err(Failure::Work(format!("Vulkan validation: expected no message, found {count}")))
-            }
-            _ => Ok(()),
+        if let Some(count @ 1..) = report.validation_messages {
+            return Err(Failure::Work(format!("Vulkan validation: expected no message, found {count}")));
+        }
+        // The session went on without its recording; who asked for one must know all the same.
+        match report.recording.as_ref().and_then(RecordReport::shortfall) {
+            Some(sentence) => Err(Failure::Work(sentence)),
+            None => Ok(()),
         }
     }
 
