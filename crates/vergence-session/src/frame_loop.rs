@@ -302,7 +302,11 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
         match state {
             State::Running { .. } => match frame(run, session, began, leaving.is_some()) {
                 Ok(Outcome::Shown) => waiting_since = Instant::now(),
-                Ok(Outcome::Unasked) => forbear(run, &mut waiting_since),
+                Ok(Outcome::Unasked) => {
+                    // Nobody looks: nothing is missed meanwhile.
+                    run.tally.pause();
+                    forbear(run, &mut waiting_since);
+                }
                 Ok(Outcome::Withheld) => {}
                 Err(error) if leaving.is_some() && !session.client.is_hung() => {
                     run.say(&format!("{error}; the session was ending anyway"));

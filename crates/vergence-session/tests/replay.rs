@@ -326,6 +326,22 @@ fn thirty_frames_over_and_over() {
     println!("{times} replays of 30 frames: equal, {:.1} s", began.elapsed().as_secs_f64());
 }
 
+/// While the runtime wants no pictures none is missed, and the time until it wants them again is nobody's.
+#[test]
+fn frames_that_nobody_looks_at_are_not_missed() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let hidden = "[[headset]]\ntime = \"0 s\"\nrender = true\n[[headset]]\ntime = \"100 ms\"\nrender = false\n\
+                  [[headset]]\ntime = \"200 ms\"\nrender = true";
+    let config = RunConfig { record: None, ..bench.config(&script(300, hidden)) };
+    let report = run(&triangle(), &config, &mut |_| {}).unwrap();
+    assert!(report.frames > 10 && report.paced >= report.frames + 8, "{report:?}");
+    assert_eq!(report.missed, 0);
+    assert!(report.seconds < 0.25, "{} s", report.seconds);
+}
+
 /// A recording that cannot be made is said once, and the session goes on.
 #[test]
 fn a_path_that_cannot_be_written_takes_nothing_from_the_session() {
