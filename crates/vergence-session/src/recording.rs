@@ -33,6 +33,8 @@ pub(crate) mod name {
     pub(crate) const JOINTS: [&str; 2] = ["/hand/left/joints", "/hand/right/joints"];
     /// `/action/NAME/HAND`
     pub(crate) const ACTION: &str = "/action/";
+    /// The recorder's own.
+    pub(crate) const RECORDER: &str = "/recorder/events";
 }
 
 /// The reference frame of every pose: OpenXR's LOCAL.

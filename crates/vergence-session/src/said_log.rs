@@ -1,6 +1,7 @@
 //! Reads a session's log back: frame by frame what was said, in the order in which it was said.
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use vergence_log::{Ending, Entry, Reader};
@@ -47,6 +48,9 @@ pub(crate) struct Frames {
     begun: Option<usize>,
     submitted: Option<RawViews>,
     outcome: Outcome,
+    path: PathBuf,
+    /// The next message's number, by stream.
+    next: BTreeMap<u16, u32>,
 }
 
 impl Frames {
@@ -56,8 +60,17 @@ impl Frames {
         actions: Arc<Vec<String>>,
         outcome: Outcome,
     ) -> Result<Self, vergence_log::Error> {
-        let reader = Some(Reader::open(path)?);
-        Ok(Self { reader, actions, said: Vec::new(), begun: None, submitted: None, outcome })
+        let (reader, path) = (Some(Reader::open(path)?), path.to_owned());
+        Ok(Self {
+            reader,
+            actions,
+            said: Vec::new(),
+            begun: None,
+            submitted: None,
+            outcome,
+            path,
+            next: BTreeMap::new(),
+        })
     }
 
     /// Reads on; whether there is more.
@@ -74,7 +87,26 @@ impl Frames {
             self.outcome.set(None, reader.ending());
             return Ok(Step::End);
         };
-        match take(&entry, &self.actions)? {
+        let taken = take(&entry, &self.actions)?;
+        // What was dropped while recording cannot be said again, and what comes after it rests on it.
+        let dropped = match &taken {
+            Taken::Nothing => lost_at_end(&entry)?,
+            _ => {
+                let next = entry.sequence.wrapping_add(1);
+                let expected = self.next.insert(entry.stream.id, next).unwrap_or(entry.sequence);
+                let missing = entry.sequence.wrapping_sub(expected);
+                (missing > 0).then(|| format!("number {} after {}", entry.sequence, expected.wrapping_sub(1)))
+            }
+        };
+        if let Some(found) = dropped {
+            return Err(vergence_log::Error::Damaged {
+                path: self.path.clone(),
+                at: entry.place.offset,
+                expected: "all messages",
+                found: format!("{found} in stream {}: some were dropped while recording", entry.stream.name),
+            });
+        }
+        match taken {
             Taken::Said(said) => {
                 // Logs of earlier versions do not tell frames in which a session was lost.
                 if matches!(&said, Said::Event(event) if event.name == SESSION_BEGINS) {
@@ -159,6 +191,17 @@ impl Iterator for Frames {
     }
 }
 
+/// What the recorder says to have lost behind the last message of each stream.
+fn lost_at_end(entry: &Entry<'_>) -> Result<Option<String>, vergence_log::Error> {
+    if entry.stream.name != name::RECORDER || !entry.is::<Event>() {
+        return Ok(None);
+    }
+    let Event { name, text, after, .. } = entry.decode::<Event>()?.value;
+    // Of a stream that it names, the numbers say it, where it is one that is replayed.
+    Ok((name == "dropped" && text.is_empty())
+        .then(|| format!("{after} messages that are missing at the end")))
+}
+
 #[expect(clippy::large_enum_variant, reason = "it is taken apart at once; a box would allocate per message")]
 enum Taken {
     Said(Said),
@@ -219,4 +262,60 @@ fn action_of(stream: &str, actions: &[String]) -> Option<(u16, Hand)> {
     let place = actions.iter().position(|known| known == action)?;
     let hand = Hand::BOTH.into_iter().find(|known| known.name() == hand)?;
     Some((u16::try_from(place).ok()?, hand))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+mod tests {
+    use super::*;
+    use vergence_log::{Header, Options, Recorder, StreamDesc, Times};
+    use vergence_time::Span;
+
+    /// Three frames with an event each; that of frame `large` does not fit into the recorder's queue.
+    fn read(large: Option<usize>) -> (usize, Outcome) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("session.mcap");
+        let options = Options { queue_bytes: 64 << 10, ..Options::default() };
+        let mut recorder = Recorder::create(&path, &Header::default(), &options).unwrap();
+        let events = recorder.stream::<Event>(&StreamDesc::new(name::EVENTS)).unwrap();
+        let timings = recorder.stream::<FrameTiming>(&StreamDesc::new(name::TIMING)).unwrap();
+        for frame in 0..3 {
+            let at = Timestamp::from_nanos(frame as i64);
+            let text = if large == Some(frame) { "x".repeat(100 << 10) } else { String::new() };
+            let event = Event { text: text.into(), ..Event::new("session_state", "") };
+            recorder.write(&events, Times::at(at), &event);
+            let timing = FrameTiming {
+                frame: frame as u64,
+                wait_returned: at,
+                begun: at,
+                submitted: None,
+                predicted_display: at,
+                predicted_period: Span::from_millis(11),
+                should_render: false,
+                presented: None,
+                raw_display: at,
+                raw_period: Span::from_millis(11),
+                ended: true,
+            };
+            recorder.write(&timings, Times::at(at), &timing);
+        }
+        assert_eq!(recorder.finish().unwrap().dropped, u64::from(large.is_some()));
+        let outcome = Outcome::default();
+        let frames = Frames::open(&path, Arc::default(), outcome.clone()).unwrap();
+        let is_frame = |said: &Vec<Said>| said.iter().any(|said| matches!(said, Said::Frame { .. }));
+        (frames.filter(is_frame).count(), outcome)
+    }
+
+    #[test]
+    fn a_log_that_lacks_messages_is_not_whole() {
+        let (frames, outcome) = read(None);
+        assert!(frames == 3 && outcome.is_complete() && outcome.trouble().is_none());
+        // Seen at the next message of its stream, or at the end where there is none.
+        for (large, expected) in [(1, 2), (2, 3)] {
+            let (frames, outcome) = read(Some(large));
+            assert!(frames == expected && !outcome.is_complete(), "{large}: {frames} frames");
+            let said = outcome.trouble().unwrap().to_string();
+            assert!(said.contains("dropped while recording"), "{said}");
+        }
+    }
 }
