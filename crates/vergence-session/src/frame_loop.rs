@@ -22,7 +22,7 @@ use crate::place;
 use crate::recording::Recording;
 use crate::report::{PassReport, RecordReport};
 use crate::run::{Happening, Run};
-use crate::touch::Touching;
+use crate::touch::{self, Touching};
 
 /// The CPU records one frame while the GPU draws the one before.
 const FRAMES_IN_FLIGHT: usize = 2;
@@ -61,6 +61,8 @@ struct Session {
     views: Vec<View>,
     slot: usize,
     first_display: Option<Timestamp>,
+    /// Of the frame in which the user was followed last.
+    followed: Option<Timestamp>,
     /// Frames that failed in a row.
     failed: u32,
 }
@@ -240,6 +242,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
         views: Vec::with_capacity(Located::MOST_VIEWS),
         slot: 0,
         first_display: None,
+        followed: None,
         failed: 0,
     })
 }
@@ -468,6 +471,7 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
         // The time between this frame and the one before has not passed.
         run.tally.pause();
         session.first_display = None;
+        session.followed = None;
     }
     if leaving || !frame.should_render {
         if !leaving && session.client.state() == (State::Running { visible: true, focused: true }) {
@@ -607,12 +611,12 @@ fn follow_user(
     };
     let world_from_local = nalgebra::Translation3::from(session.walked) * placed;
     if let Some(touching) = &mut session.touching {
-        let period = frame.prediction.period;
+        let step = touch::step(session.followed.replace(display), display, frame.prediction.period);
         // The same as the renderer's: a replay is told the same displays.
         let begun = session.first_display.unwrap_or(display);
         touching.move_targets(display.since(begun).unwrap_or(Span::ZERO));
         session.walked +=
-            touching.follow(&mut session.client, &world_from_local, head, run.tally.frames, period)?;
+            touching.follow(&mut session.client, &world_from_local, head, run.tally.frames, step)?;
         if let Some(markers) = &session.markers {
             markers.follow(&mut session.renderer, touching);
         }

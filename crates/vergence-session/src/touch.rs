@@ -10,7 +10,7 @@ use vergence_action::DeadZone;
 use vergence_geom::{Ray, Rigid};
 use vergence_scene::Scene;
 use vergence_sense::{Axis, Button, Hand, Haptic};
-use vergence_time::Span;
+use vergence_time::{Span, Timestamp};
 use vergence_xr::{Client, Error, Reading};
 
 use crate::report::Touch;
@@ -29,6 +29,8 @@ const STILL_M: f64 = 0.02;
 const STILL_RAD: f64 = 0.05;
 /// Speed of walking by thumbstick, metres per second.
 const WALK_M_S: f64 = 1.5;
+/// The longest time walked in one frame: after a longer one nobody knows where the thumbstick was meanwhile.
+const LONGEST_STEP: Span = Span::from_millis(100);
 
 /// Places of the actions in the plan's set, where they are in it.
 struct Actions {
@@ -141,20 +143,20 @@ impl Touching {
         self.touches
     }
 
-    /// Follows the hands through one frame; call after the input was read. Gives how far the user walks, in world
-    /// coordinates.
+    /// Follows the hands through one frame; call after the input was read. Gives how far the user walks in the time
+    /// `step`, in world coordinates.
     pub(crate) fn follow(
         &mut self,
         client: &mut Client,
         world_from_local: &Rigid,
         head: Option<&Rigid>,
         frame: u64,
-        period: Span,
+        step: Span,
     ) -> Result<Vector3<f64>, Error> {
         let mut walked = Vector3::zeros();
         for hand in Hand::BOTH {
             self.follow_hand(client, world_from_local, head, hand, frame)?;
-            walked += self.walk(client, world_from_local, head, hand, period);
+            walked += self.walk(client, world_from_local, head, hand, step);
         }
         Ok(walked)
     }
@@ -242,7 +244,7 @@ impl Touching {
         world_from_local: &Rigid,
         head: Option<&Rigid>,
         hand: Hand,
-        period: Span,
+        step: Span,
     ) -> Vector3<f64> {
         let stick = match self.actions.walk.and_then(|walk| client.reading(walk, hand)) {
             Some(Reading::Vector2(stick)) => self.dead_zone.apply(stick.or_zero()),
@@ -254,8 +256,15 @@ impl Touching {
             Vector3::new(world.x, 0.0, world.z).try_normalize(1e-6).unwrap_or_else(Vector3::zeros)
         };
         let [right, ahead] = stick.map(f64::from);
-        (level(Vector3::x()) * right + level(-Vector3::z()) * ahead) * (WALK_M_S * period.as_secs_f64())
+        (level(Vector3::x()) * right + level(-Vector3::z()) * ahead) * (WALK_M_S * step.as_secs_f64())
     }
+}
+
+/// The session time that a frame shown at `display` adds to the one before, `last`: one `period` where there is none, more
+/// where frames were missed, and never longer than [`LONGEST_STEP`].
+pub(crate) fn step(last: Option<Timestamp>, display: Timestamp, period: Span) -> Span {
+    let passed = last.and_then(|last| display.since(last)).unwrap_or(period);
+    passed.clamp(Span::ZERO, LONGEST_STEP)
 }
 
 fn ray_along(world_from_aim: &Rigid) -> Ray {
@@ -279,6 +288,18 @@ mod tests {
         let now = carrier * Rigid::translation(by, 0.0, 0.0) * ahead;
         stillness.follow(Some(&now), Some(&turn), pull);
         stillness.is_over
+    }
+
+    #[test]
+    fn who_walks_goes_as_far_as_time_does() {
+        let at = |ms: i64| Timestamp::from_nanos(ms * 1_000_000);
+        let period = Span::from_millis(10);
+        let after = |last: Option<i64>, now| step(last.map(at), at(now), period);
+        assert_eq!(after(None, 50), period);
+        assert_eq!(after(Some(40), 50), period);
+        assert_eq!(after(Some(20), 50), Span::from_millis(30), "two frames were missed");
+        assert_eq!(after(Some(0), 5000), LONGEST_STEP, "the headset lay on the table");
+        assert_eq!(after(Some(60), 50), Span::ZERO, "time does not go back");
     }
 
     #[test]
