@@ -24,6 +24,14 @@ pub enum Error {
     /// A session log cannot be read.
     #[error(transparent)]
     Log(#[from] vergence_log::Error),
+    /// What is needed could not be read.
+    #[error("{path}: cannot be read: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// A result could not be written.
     #[error("{path}: cannot be written: {source}")]
     Write {
@@ -55,6 +63,7 @@ impl Error {
                     vergence_xr_sim::Error::Config(_)
                         | vergence_xr_sim::Error::Unknown { .. }
                         | vergence_xr_sim::Error::Trajectory { .. }
+                        | vergence_xr_sim::Error::Tum { .. }
                 )
                 | Self::Window(_)
                 | Self::Render(vergence_render::Error::Range { .. })
@@ -63,6 +72,10 @@ impl Error {
                     vergence_gpu::Error::Unsupported { .. } | vergence_gpu::Error::NoSuchDevice { .. }
                 )
         )
+    }
+
+    pub(crate) fn read(path: &std::path::Path) -> impl Fn(std::io::Error) -> Self + '_ {
+        move |source| Self::Read { path: path.to_owned(), source }
     }
 
     pub(crate) fn write(path: &std::path::Path) -> impl Fn(std::io::Error) -> Self + '_ {
@@ -75,5 +88,19 @@ pub(crate) fn with_cause(error: &dyn std::error::Error) -> String {
     match error.source() {
         Some(cause) => format!("{error}: {}", with_cause(cause)),
         None => error.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_that_cannot_be_understood_is_a_wrong_call_and_a_file_that_cannot_be_read_is_none() {
+        let wrong = vergence_xr_sim::motion::parse_tum(std::path::Path::new("way.txt"), "0 0 0").err();
+        assert!(wrong.is_some_and(|error| Error::from(error).is_wrong_call()));
+        let scene = vergence_scene::Scene { files: vec!["/no/such/scene.glb".into()], ..Default::default() };
+        let failed = crate::provenance::scene_hash(&scene).err();
+        assert!(failed.is_some_and(|error| error.to_string().contains("scene.glb: cannot be read")));
     }
 }

@@ -286,7 +286,13 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
     loop {
         let began = OurCpu::now(&session.client);
         let state = match session.client.poll() {
-            Ok(state) => state,
+            Ok(state) => {
+                if !state.is_running() {
+                    // Frames count for themselves; where there are none, what goes right again is a poll.
+                    session.failed = 0;
+                }
+                state
+            }
             Err(error) => match forgive(run, session, error.into()) {
                 Err(error) if leaving.is_some() => {
                     run.say(&format!("{error}; the session was ending anyway"));
@@ -464,8 +470,9 @@ fn frame(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool)
 
 fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: bool) -> Result<Outcome, Error> {
     let frame = session.client.wait()?;
-    run.tally.paced += 1;
     session.client.begin()?;
+    // One that could not be begun is given again, and counts once.
+    run.tally.paced += 1;
     let display = frame.prediction.display;
     if frame.prediction.rebased {
         // The time between this frame and the one before has not passed.

@@ -34,7 +34,7 @@ pub fn scene_hash(scene: &Scene) -> Result<String, Error> {
     let first = files.remove(0);
     files.sort();
     for (name, path) in std::iter::once((String::new(), first.1)).chain(files) {
-        let bytes = std::fs::read(&path).map_err(Error::write(&path))?;
+        let bytes = std::fs::read(&path).map_err(Error::read(&path))?;
         hasher.update(&(name.len() as u64).to_le_bytes());
         hasher.update(name.as_bytes());
         hasher.update(&(bytes.len() as u64).to_le_bytes());

@@ -108,7 +108,7 @@ impl SessionLog {
         // What is attached whole is there also where something else is damaged.
         while !matches!(reader.next(), Ok(None) | Err(vergence_log::Error::Read { .. })) {}
         let mut first = None;
-        let mut file = std::fs::File::open(&self.path).map_err(Error::write(&self.path))?;
+        let mut file = std::fs::File::open(&self.path).map_err(Error::read(&self.path))?;
         for attachment in reader.attachments() {
             let relative = Path::new(&attachment.name);
             let inside = relative.components().all(|part| matches!(part, std::path::Component::Normal(_)));

@@ -62,7 +62,7 @@ fn predict(session: &Session, inner: &SessionState) -> (Timestamp, Span) {
         // Later only where time passed between two runs of the session.
         return (next.max(now.saturating_add(period)), period);
     }
-    // Late: the first display instant that still leaves a whole period.
+    // Late: the first display instant that is still to come, be it sooner than a whole period from now.
     let late = now.saturating_add(period).since(next).map_or(0, Span::as_nanos);
     let skipped = if late > 0 { late.div_euclid(period.as_nanos()) } else { 0 };
     (next.saturating_add(period.checked_mul(skipped).unwrap_or(Span::ZERO)), period)
@@ -79,7 +79,7 @@ pub(crate) fn wait_frame(
     session.check_lost()?;
     let mut inner = session.lock();
     check_running(&inner)?;
-    while inner.running && (inner.frames.waiting || inner.frames.waited.is_some()) {
+    while inner.running && !inner.lost && (inner.frames.waiting || inner.frames.waited.is_some()) {
         let (guard, timeout) = session
             .frame_begun
             .wait_timeout(inner, LONGEST_WAIT)
@@ -89,6 +89,9 @@ pub(crate) fn wait_frame(
             log::error!("xrWaitFrame: no thread began the frame before within {LONGEST_WAIT:?}");
             return Err(sys::Result::ERROR_RUNTIME_FAILURE);
         }
+    }
+    if inner.lost {
+        return Err(sys::Result::ERROR_SESSION_LOST);
     }
     check_running(&inner)?;
     inner.frames.waiting = true;

@@ -35,7 +35,7 @@ pub(crate) struct SessionState {
     pub running: bool,
     /// The end was asked for: IDLE will be followed by EXITING.
     exiting: bool,
-    lost: bool,
+    pub lost: bool,
     presence: Presence,
     /// Whether the lenses hide nothing of what the profile says.
     pub hides_nothing: bool,
