@@ -233,6 +233,60 @@ fn streams_that_describe_themselves_need_no_configuration() {
     assert_eq!((imu.gyr_rad_s.x, imu.acc_m_s2.z), (0.1, 0.001));
 }
 
+/// A device that goes back and forth between descriptions has as many streams as descriptions; one that describes new ones
+/// without end has as many as are allowed.
+#[test]
+fn descriptions_without_end_make_no_streams_without_end() {
+    const CHANGES: usize = 3000;
+    let (mut device, host) = pair();
+    let mut source = source(vec![host], SerialConfig::default());
+    let (go_on, half) = std::sync::mpsc::channel();
+    let writer = std::thread::spawn(move || {
+        let mut write = |sequence: usize, text: String| {
+            let (mut bytes, payload) = (Vec::new(), [&[1], text.as_bytes()].concat());
+            Frame { stream: 0, sequence: sequence as u16, time_us: 0, payload: &payload }.encode(&mut bytes);
+            device.write_all(&bytes).expect("written");
+        };
+        (0..CHANGES).for_each(|turn| write(turn, format!("x scalar {}", ["u8", "u16"][turn % 2])));
+        half.recv().expect("the first half is read");
+        (0..CHANGES).for_each(|turn| write(CHANGES + turn, format!("x{turn} scalar u8")));
+        device
+    });
+    let (clock, mut samples) = (HostClock::start(), Samples::new());
+    let mut advance = |source: &mut SerialSource, frames: usize| {
+        while source.totals().frames.frames < frames as u64 {
+            source.advance(clock.now().saturating_add(Span::from_millis(20)), &mut samples);
+        }
+    };
+    advance(&mut source, CHANGES);
+    assert_eq!(source.streams().len(), 4);
+    go_on.send(()).expect("the writer waits");
+    advance(&mut source, 2 * CHANGES);
+    assert_eq!(source.streams().len(), 1024);
+    let told = events(&samples).into_iter().filter(|name| *name == "description").count();
+    assert_eq!(told, 1);
+    drop(writer.join());
+}
+
+/// The same of lines of names.
+#[test]
+fn names_without_end_make_no_streams_without_end() {
+    let (mut device, host) = pair();
+    let mut source = source(vec![host], SerialConfig::default());
+    let writer = std::thread::spawn(move || {
+        let turns = (0..200).map(|turn| format!("{}\n1,2\n", ["a,b", "c,d"][turn % 2]));
+        let new = (0..2000).map(|turn| format!("e{turn},f{turn}\n1,2\n"));
+        turns.chain(new).for_each(|text| device.write_all(text.as_bytes()).expect("written"));
+        device
+    });
+    // Two new streams at a time: 2 of its own, 4 that come back, 1018 that are new.
+    let samples = run(&mut source, 60.0, |source, _| source.totals().broken_lines == 2000 - 509);
+    assert_eq!((source.totals().lines, source.totals().broken_lines), (200 + 509, 2000 - 509));
+    assert_eq!(source.streams().len(), 1024);
+    assert_eq!(events(&samples).into_iter().filter(|name| *name == "description").count(), 1);
+    drop(writer.join());
+}
+
 #[test]
 fn lines_of_numbers_are_read_with_their_times() {
     let (mut device, host) = pair();

@@ -17,7 +17,7 @@ pub(crate) const PREFIX: usize = 32;
 pub(crate) struct Shared {
     /// Messages taken so far, by all lanes: the order of arrival.
     pub(crate) order: AtomicU64,
-    /// Messages that found a queue full, or came after a failure.
+    /// Messages that found a queue full, came after a failure, or belong to no stream of the recording.
     pub(crate) dropped: AtomicU64,
     /// Nothing is written any more.
     pub(crate) failed: AtomicBool,
@@ -48,6 +48,11 @@ impl Lane {
     /// A stream belongs to one lane.
     pub fn write<T: Message>(&mut self, stream: &Stream<T>, times: Times, value: &T) {
         self.put(stream.id, times, |out| value.encode(times, &stream.frame, out));
+    }
+
+    /// Counts a message that belongs to no stream of the recording.
+    pub(crate) fn refuse(&self) {
+        self.shared.dropped.fetch_add(1, Ordering::Relaxed);
     }
 
     pub(crate) fn put(&mut self, stream: u16, times: Times, encode: impl FnOnce(&mut Encoder<'_>)) {

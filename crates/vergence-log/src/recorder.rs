@@ -62,7 +62,7 @@ pub struct Status {
     /// Messages that came while the file could be written.
     pub taken: u64,
     /// Messages that are not in the file: of those that were taken, what found its queue full; and all that came after a
-    /// failure, which are not counted as taken. What was in a queue when the file failed is in neither.
+    /// failure or belong to a stream that was refused, which are not counted as taken. What was in a queue when the file failed is in neither.
     pub dropped: u64,
     /// The file cannot be written any more.
     pub failed: bool,

@@ -28,8 +28,12 @@ enum Any {
     Event(Stream<Event>),
 }
 
+/// Streams of one source that are recorded: a device that announces streams without end leaves room for the others.
+const MOST_STREAMS: usize = 1024;
+
 /// One source's way into a recording: a sink with a queue of its own, so that each source may have a thread. Taking a
-/// sample neither locks nor allocates; a stream that appears does both, once.
+/// sample neither locks nor allocates; a stream that appears does both, once. Samples of a stream that the recording
+/// refuses, as it does beyond the 1024th of a source, count as dropped.
 pub struct SourceLane {
     recorder: Arc<Mutex<Recorder>>,
     lane: Lane,
@@ -78,7 +82,7 @@ impl SourceLane {
         })
     }
 
-    /// Samples that were taken; which of them found the queue full, the recorder counts.
+    /// Samples that were taken; which of them found the queue full, and which were not taken, the recorder counts.
     pub fn taken(&self) -> u64 {
         self.taken
     }
@@ -86,6 +90,12 @@ impl SourceLane {
 
 impl Sink for SourceLane {
     fn appears(&mut self, place: usize, stream: &SourceStream) {
+        if place >= MOST_STREAMS {
+            if place == MOST_STREAMS {
+                log::warn!("not recorded: {}: its streams beyond {MOST_STREAMS}", self.prefix);
+            }
+            return;
+        }
         if self.streams.len() <= place {
             self.streams.resize_with(place + 1, || None);
         }
@@ -96,7 +106,7 @@ impl Sink for SourceLane {
     }
 
     fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
-        let Some(Some(stream)) = self.streams.get(stream) else { return };
+        let Some(Some(stream)) = self.streams.get(stream) else { return self.lane.refuse() };
         let (lane, times) = (&mut self.lane, Times::new(sample.captured, sample.arrived));
         match (stream, &sample.value) {
             (Any::Button(stream), Reading::Button(value)) => lane.write(stream, times, value),
@@ -110,7 +120,7 @@ impl Sink for SourceLane {
             (Any::Image(stream), Reading::Image(value)) => lane.write(stream, times, value),
             (Any::Event(stream), Reading::Event(value)) => lane.write(stream, times, value),
             // Another kind than the stream's: the source's mistake, which a recording must survive.
-            _ => return,
+            _ => return self.lane.refuse(),
         }
         self.taken += 1;
     }

@@ -281,3 +281,36 @@ fn what_is_not_attached_is_said() {
     }
     assert!(!survey.is_well());
 }
+
+/// What a source sends on streams that the recording refuses is not recorded, and is counted.
+#[test]
+fn samples_of_a_refused_stream_are_dropped() {
+    use vergence_sense::{Reading, Sample, Sink, SourceStream};
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("refused.mcap");
+    let recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
+    let recorder = std::sync::Arc::new(std::sync::Mutex::new(recorder));
+    let mut lane = vergence_log::SourceLane::new(&recorder, "device", &[]).unwrap();
+    let scalar = |name: &str| SourceStream::new(name.to_owned(), vergence_sense::ReadingKind::Scalar);
+    let at = Timestamp::from_nanos(1);
+    let sample = || Sample { captured: at, arrived: at, value: Reading::Scalar(Scalar(1.0)) };
+    lane.appears(0, &scalar("x"));
+    lane.appears(1, &scalar("x"));
+    // Another device has room for its streams, however many this one announces.
+    (2..70_000).for_each(|place| lane.appears(place, &scalar(&format!("x{place}"))));
+    let mut other = vergence_log::SourceLane::new(&recorder, "other", &[scalar("x")]).unwrap();
+    for place in [0, 0, 0, 1, 1, 1023, 1024, 69_999, 70_000] {
+        lane.take(place, sample());
+    }
+    other.take(0, sample());
+    assert_eq!((lane.taken(), other.taken()), (4, 1));
+    drop((lane, other));
+    let recorder = std::sync::Arc::into_inner(recorder).unwrap().into_inner().unwrap();
+    let status = recorder.finish().unwrap();
+    assert_eq!((status.taken, status.dropped), (5, 5));
+    let said = Reader::read_all::<vergence_sense::Event>(&path, "/recorder/events").unwrap();
+    assert_eq!(
+        said.iter().map(|event| (&*event.value.name, event.value.after)).collect::<Vec<_>>(),
+        [("dropped", 5.0)]
+    );
+}

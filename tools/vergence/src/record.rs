@@ -81,8 +81,9 @@ impl Sink for Counted<'_> {
         if matches!(&sample.value, Reading::Event(event) if event.name == "gap") {
             self.gaps.fetch_add(1, Ordering::Relaxed);
         }
-        self.samples.fetch_add(1, Ordering::Relaxed);
+        let before = self.lane.taken();
         self.lane.take(stream, sample);
+        self.samples.fetch_add(self.lane.taken() - before, Ordering::Relaxed);
     }
 }
 

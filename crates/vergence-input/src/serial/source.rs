@@ -24,6 +24,9 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// A gap of more is a device that began anew.
 const MOST_GAP: u64 = 1 << 15;
 
+/// Streams that a device may have, also where it describes them anew: a broken one does so without end.
+const MOST_STREAMS: usize = 1024;
+
 /// What a device sends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Format {
@@ -81,7 +84,8 @@ pub struct Totals {
     pub broken_lines: u64,
     /// What the sequence numbers say is missing.
     pub lost: u64,
-    /// Frames of streams that nothing describes, or of another length than described.
+    /// Frames of streams that nothing describes, of another length than described, or beyond the most streams that a
+    /// device may have.
     pub unread: u64,
 }
 
@@ -111,6 +115,11 @@ pub struct SerialSource {
     /// The text that `columns` was made of, and the place of the first of its streams.
     columns_text: String,
     columns_place: usize,
+    /// What was described so far, and where its streams are: a device may go back to it.
+    described: Vec<(u8, Description, usize)>,
+    named: Vec<(Columns, usize)>,
+    /// It was said that there are too many streams.
+    is_full: bool,
     map: ClockMap,
     /// The same for lines, whose times are nanoseconds.
     lines_map: ClockMap,
@@ -157,6 +166,9 @@ impl SerialSource {
             columns: None,
             columns_text: String::new(),
             columns_place: 0,
+            described: Vec::new(),
+            named: Vec::new(),
+            is_full: false,
             map: map(Counter::MICROS_32),
             lines_map: map(Counter::NANOS_64),
             report: ClockReport::default(),
@@ -186,25 +198,51 @@ impl SerialSource {
     }
 
     fn describe(&mut self, number: u8, text: &[u8], description: Description, sink: &mut dyn Sink) {
-        let slot = &mut self.known[usize::from(number)];
-        let place = match slot {
-            Some(known) if known.description == description => known.place,
-            _ => {
+        let same = |known: &&(u8, Description, usize)| known.0 == number && known.1 == description;
+        let place = match self.described.iter().find(same) {
+            Some((.., place)) => *place,
+            None if self.streams.len() >= MOST_STREAMS => {
+                // What it sends is no longer what it was described as.
+                self.known[usize::from(number)] = None;
+                return self.too_many(sink);
+            }
+            None => {
                 let name = unique(description.name(), &self.streams);
                 let stream = description.stream(name.into_owned());
-                sink.appears(self.streams.len(), &stream);
+                let place = self.streams.len();
+                sink.appears(place, &stream);
                 self.streams.push(stream);
-                self.streams.len() - 1
+                self.described.push((number, description.clone(), place));
+                place
             }
         };
-        *slot = Some(Known { place, text: text.to_owned(), description });
+        self.known[usize::from(number)] = Some(Known { place, text: text.to_owned(), description });
+    }
+
+    /// Says, once, that the device has described too many streams.
+    fn too_many(&mut self, sink: &mut dyn Sink) {
+        if !std::mem::replace(&mut self.is_full, true) {
+            log::warn!("serial: the device describes more than {MOST_STREAMS} streams: the rest is not read");
+            let event = Event::new("description", "there are too many streams: the rest is not read");
+            tell(sink, self.clock.now(), event);
+        }
     }
 
     fn take_columns(&mut self, columns: Columns, sink: &mut dyn Sink) {
         if self.columns.as_ref() == Some(&columns) {
             return;
         }
+        if let Some((_, place)) = self.named.iter().find(|(known, _)| *known == columns) {
+            self.columns_place = *place;
+            self.columns = Some(columns);
+            return;
+        }
+        if self.streams.len() + columns.streams().count() > MOST_STREAMS {
+            self.columns = None;
+            return self.too_many(sink);
+        }
         self.columns_place = self.streams.len();
+        self.named.push((columns.clone(), self.columns_place));
         for (name, kind, unit) in columns.streams() {
             let name = unique(name, &self.streams);
             let stream = SourceStream::new(name, kind).unit(unit.to_owned());
