@@ -128,8 +128,10 @@ pub struct RunReport {
     pub hands: [Option<String>; 2],
     /// What was pointed at or taken; the first thousand.
     pub touches: Vec<Touch>,
-    /// What happened meanwhile, in sentences.
+    /// What happened meanwhile, in sentences; the first thousand.
     pub notices: Vec<String>,
+    /// What happened beyond those.
+    pub notices_left_out: u64,
     /// What was asked for and is not there, one sentence each.
     pub warnings: Vec<String>,
     /// Messages of Vulkan validation; `None` where it was off or is not installed.

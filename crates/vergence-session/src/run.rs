@@ -127,6 +127,8 @@ impl Run<'_> {
     pub(crate) fn note(&mut self, sentence: &str) {
         if self.report.notices.len() < NOTICES_KEPT {
             self.report.notices.push(sentence.to_owned());
+        } else {
+            self.report.notices_left_out += 1;
         }
     }
 }

@@ -174,10 +174,13 @@ pub(crate) enum Command {
     HiddenArea(bool),
 }
 
+/// Vibrations that are kept: an application that vibrates in every frame for hours takes no more memory than this.
+const HAPTICS_KEPT: usize = 4096;
+
 #[derive(Debug, Default)]
 struct Desk {
     commands: VecDeque<Command>,
-    haptics: Vec<Haptic>,
+    haptics: VecDeque<Haptic>,
 }
 
 /// A hand on the simulated headset: what a person, the system or a cable can do to a real one. Clones are the same
@@ -195,7 +198,11 @@ impl Control {
     }
 
     pub(crate) fn record(&self, haptic: Haptic) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).haptics.push(haptic);
+        let haptics = &mut self.0.lock().unwrap_or_else(PoisonError::into_inner).haptics;
+        if haptics.len() >= HAPTICS_KEPT {
+            haptics.pop_front();
+        }
+        haptics.push_back(haptic);
     }
 
     /// Makes where the head is now, and where it looks, the new origin of LOCAL.
@@ -229,8 +236,27 @@ impl Control {
         self.push(Command::HiddenArea(hides));
     }
 
-    /// Every vibration so far, in the order of the calls.
+    /// The vibrations so far, in the order of the calls; the last 4096.
     pub fn haptics(&self) -> Vec<Haptic> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).haptics.clone()
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).haptics.iter().copied().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_vibrations_are_kept() {
+        let control = Control::default();
+        let each = |nanos| Haptic {
+            at: Timestamp::from_nanos(nanos),
+            hand: Hand::Left,
+            duration: None,
+            frequency_hz: 0.0,
+            amplitude: 1.0,
+        };
+        (0..5000).for_each(|nanos| control.record(each(nanos)));
+        assert!(control.haptics().into_iter().eq((5000 - 4096..5000).map(each)));
     }
 }

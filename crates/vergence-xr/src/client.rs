@@ -301,9 +301,15 @@ impl Client {
         result
     }
 
-    /// What has happened since the last call, oldest first.
+    /// What has happened since the last call, oldest first. Of more than 256, only recentrings and changes of what is hidden
+    /// are kept, and the others counted.
     pub fn drain_notices(&mut self) -> impl Iterator<Item = Notice> + '_ {
         self.notices.drain()
+    }
+
+    /// How many notices were left out so far because those before them had not been asked for.
+    pub const fn notices_left_out(&self) -> u64 {
+        self.notices.left_out()
     }
 
     /// Asks the runtime to end the session: states then lead to [`State::Exiting`]. Nothing happens where no frames are

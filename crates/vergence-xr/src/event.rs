@@ -6,7 +6,8 @@ use vergence_time::Timestamp;
 use crate::state::{Lifecycle, State, Step};
 use crate::time_guard::TimeFault;
 
-/// Notices that are kept until they are asked for; the newest are dropped beyond.
+/// Notices that are kept until they are asked for; the newest are left out beyond, and counted. What a session must act on
+/// is kept all the same: see [`Notices::push`].
 const NOTICES_KEPT: usize = 256;
 
 /// Something that happened.
@@ -108,23 +109,62 @@ const fn session_state_name(state: openxr::SessionState) -> &'static str {
 
 /// What has happened and was not asked for yet; allocates once.
 #[derive(Debug)]
-pub(crate) struct Notices(Vec<Notice>);
+pub(crate) struct Notices {
+    kept: Vec<Notice>,
+    left_out: u64,
+}
 
 impl Default for Notices {
     fn default() -> Self {
-        Self(Vec::with_capacity(NOTICES_KEPT))
+        Self { kept: Vec::with_capacity(NOTICES_KEPT + ROOM), left_out: 0 }
     }
 }
 
+/// Room beyond [`NOTICES_KEPT`]: for the first and the last of several recentrings, and for a change of what is hidden.
+const ROOM: usize = 3;
+
 impl Notices {
+    /// Keeps a notice. Where there is no room, recentrings become the earliest and the latest of them, between which the
+    /// floor is asked for, and several changes of what is hidden become one.
     pub(crate) fn push(&mut self, notice: Notice) {
-        if self.0.len() < NOTICES_KEPT {
-            self.0.push(notice);
+        if self.kept.len() < NOTICES_KEPT {
+            self.kept.push(notice);
+            return;
+        }
+        // At most two behind those that are kept in any case.
+        let beyond = self.kept.iter_mut().skip(NOTICES_KEPT).filter_map(|kept| match kept {
+            Notice::Recentred { at } => Some(at),
+            _ => None,
+        });
+        match notice {
+            Notice::Recentred { at: new } => {
+                let mut several = beyond;
+                match (several.next(), several.next()) {
+                    (Some(first), Some(last)) => {
+                        let (low, high) = ((*first).min(new), (*last).max(new));
+                        (*first, *last) = (low, high);
+                        self.left_out += 1;
+                    }
+                    (Some(first), None) => {
+                        let (low, high) = ((*first).min(new), (*first).max(new));
+                        *first = low;
+                        self.kept.push(Notice::Recentred { at: high });
+                    }
+                    (None, _) => self.kept.push(notice),
+                }
+            }
+            Notice::HiddenAreaChanged if !self.kept.contains(&notice) => self.kept.push(notice),
+            _ => self.left_out += 1,
         }
     }
 
     pub(crate) fn drain(&mut self) -> impl Iterator<Item = Notice> + '_ {
-        self.0.drain(..)
+        self.kept.drain(..)
+    }
+
+    /// How many notices were left out so far, because nobody had asked for those before them.
+    pub(crate) const fn left_out(&self) -> u64 {
+        self.left_out
     }
 
     /// Takes an event and says what must be called.
@@ -155,5 +195,27 @@ impl Notices {
             _ => {}
         }
         Step::Nothing
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// However much happens before anybody asks: what a session must act on is told, and the rest is counted.
+    #[test]
+    fn what_must_be_acted_on_is_never_left_out() {
+        let mut notices = Notices::default();
+        let room = notices.kept.capacity();
+        (0..NOTICES_KEPT + 10).for_each(|_| notices.push(Notice::HandsChanged));
+        assert_eq!(notices.left_out(), 10);
+        let at = |nanos| Notice::Recentred { at: Timestamp::from_nanos(nanos) };
+        for nanos in [50, 40, 70, 60] {
+            notices.push(at(nanos));
+            notices.push(Notice::HiddenAreaChanged);
+        }
+        assert_eq!((notices.kept.capacity(), notices.left_out()), (room, 10 + 2 + 3));
+        let told: Vec<Notice> = notices.drain().skip(NOTICES_KEPT).collect();
+        assert_eq!(told, [at(40), Notice::HiddenAreaChanged, at(70)]);
     }
 }
