@@ -316,6 +316,9 @@ fn what_is_read_is_not_written_over() {
     let before = std::fs::read(&table).expect("read");
     let scene = folder.path().join("scene.obj");
     std::fs::write(&scene, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
+    // The same file under a name that pictures may have.
+    let picture = folder.path().join("picture.png");
+    std::fs::hard_link(&scene, &picture).expect("linked");
     let quality = folder.path().join("quality.toml");
     std::fs::write(&quality, "[quality]\nmsaa = 1\n").expect("written");
     let calls: [&[&std::ffi::OsStr]; 9] = [
@@ -324,7 +327,7 @@ fn what_is_read_is_not_written_over() {
         arguments!["slam", "eval", &table, &scene, "--output", &table],
         arguments!["study", "report", &table, "--output", &table],
         arguments!["study", "import", "csv", &table, "--output", &table],
-        arguments!["render", &scene, "-o", &scene],
+        arguments!["render", &scene, "-o", &picture],
         arguments!["run", &scene, "--headset", "simulated", "--log-poses", &scene],
         arguments!["run", &scene, "--headset", "simulated", "--quality", &quality, "--record", &quality],
         arguments!["record", &table, "--config", &table],
