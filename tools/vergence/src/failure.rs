@@ -40,6 +40,11 @@ impl Failure {
         vergence_session::own_file(option, output, read).map_err(|error| Self::call(&error))
     }
 
+    /// What should be at `path` cannot be written there.
+    pub fn unwritable(path: &Path, error: &dyn std::error::Error) -> Self {
+        Self::Work(format!("{}: {error}", path.display()))
+    }
+
     /// Says it on stderr and gives the exit status.
     pub fn report(&self) -> ExitCode {
         let (Self::Work(sentence) | Self::Call(sentence)) = self;

@@ -7,7 +7,7 @@ mod slam;
 mod studio;
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
 use serde::de::{Deserialize as _, IntoDeserializer as _};
@@ -147,13 +147,9 @@ impl RenderTrade {
             (_, Some(error)) => Some(Limit::Error(error)),
             _ => None,
         };
-        self.check_folder()?;
-        let plan = Plan {
-            scenes: self.scenes_or_sample()?,
-            size: self.size,
-            bench_view: self.view.is_some(),
-            quick: self.quick,
-        };
+        let scenes = self.scenes_or_sample()?;
+        self.make_folder()?;
+        let plan = Plan { scenes, size: self.size, bench_view: self.view.is_some(), quick: self.quick };
         let measured = measure::measure(&plan)?;
         let cost_scale = match self.cost {
             Cost::Cpu => measure::CPU,
@@ -175,12 +171,12 @@ impl RenderTrade {
         choice.map(|_| ()).map_err(|error| Failure::work(&error))
     }
 
-    /// Refuses early what cannot become the folder; it is made when there is something to put into it.
-    fn check_folder(&self) -> Result<(), Failure> {
+    /// Makes the folder before anything is measured: minutes are not lost over one that cannot be made.
+    fn make_folder(&self) -> Result<(), Failure> {
         if self.output.exists() && !self.output.is_dir() {
             return Err(Failure::Call(format!("{}: expected a folder, found a file", self.output.display())));
         }
-        Ok(())
+        std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))
     }
 
     /// The scenes that were named, else the sample room.
@@ -197,10 +193,6 @@ impl RenderTrade {
         Ok(vec![sample])
     }
 
-    fn unwritable(&self, path: &Path, error: &dyn std::error::Error) -> Failure {
-        Failure::Work(format!("{}: {error}", path.display()))
-    }
-
     fn write(
         &self,
         measured: &Measured,
@@ -208,10 +200,9 @@ impl RenderTrade {
         error: usize,
         chosen: Option<usize>,
     ) -> Result<(), Failure> {
-        std::fs::create_dir_all(&self.output).map_err(|e| self.unwritable(&self.output, &e))?;
         let save = |name: &str, bytes: &[u8]| {
             let path = self.output.join(name);
-            std::fs::write(&path, bytes).map_err(|e| self.unwritable(&path, &e))
+            std::fs::write(&path, bytes).map_err(|e| Failure::unwritable(&path, &e))
         };
         let mut page = Page::new("What quality costs").paragraph(&format!(
             "{}, {} x {} pixels per eye. {}",

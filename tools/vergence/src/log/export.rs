@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap, btree_map};
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 use vergence_geom::components;
@@ -62,14 +62,10 @@ fn file_name(stream: &str) -> String {
     if word.is_empty() { "stream".to_owned() } else { word }
 }
 
-fn unwritable(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::Work(format!("{}: {error}", path.display()))
-}
-
 impl ExportArgs {
     pub fn run(self) -> Result<(), Failure> {
         let mut reader = Reader::open(&self.file).map_err(|error| failed(&error))?;
-        std::fs::create_dir_all(&self.output).map_err(|e| unwritable(&self.output, &e))?;
+        std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))?;
         let written = match self.kind {
             Kind::Csv | Kind::Parquet => self.tables(&mut reader)?,
             Kind::Tum => self.tum(&mut reader)?,
@@ -225,8 +221,8 @@ impl ExportArgs {
         let mut all = Vec::new();
         for (stream, trajectory) in self.trajectories(reader)? {
             let path = self.place(&stream, "tum.txt", &mut taken);
-            let file = File::create(&path).map_err(|e| unwritable(&path, &e))?;
-            trajectory.write_tum(BufWriter::new(file)).map_err(|e| unwritable(&path, &e))?;
+            let file = File::create(&path).map_err(|e| Failure::unwritable(&path, &e))?;
+            trajectory.write_tum(BufWriter::new(file)).map_err(|e| Failure::unwritable(&path, &e))?;
             all.push(Written { stream, path, rows: trajectory.poses.len() as u64 });
         }
         Ok(all)
@@ -237,10 +233,10 @@ impl ExportArgs {
         let rig = self.output.join("mav0");
         let open = |folder: &str, head: &str| -> Result<(PathBuf, BufWriter<File>), Failure> {
             let folder = rig.join(folder);
-            std::fs::create_dir_all(&folder).map_err(|e| unwritable(&folder, &e))?;
+            std::fs::create_dir_all(&folder).map_err(|e| Failure::unwritable(&folder, &e))?;
             let path = folder.join("data.csv");
-            let mut file = BufWriter::new(File::create(&path).map_err(|e| unwritable(&path, &e))?);
-            writeln!(file, "{head}").map_err(|e| unwritable(&path, &e))?;
+            let mut file = BufWriter::new(File::create(&path).map_err(|e| Failure::unwritable(&path, &e))?);
+            writeln!(file, "{head}").map_err(|e| Failure::unwritable(&path, &e))?;
             Ok((path, file))
         };
         let mut tables: BTreeMap<u16, (Written, BufWriter<File>, PathBuf)> = BTreeMap::new();
@@ -275,17 +271,17 @@ impl ExportArgs {
                 if picture.value.0.encoding != "png" {
                     continue;
                 }
-                std::fs::create_dir_all(&*data).map_err(|e| unwritable(data, &e))?;
+                std::fs::create_dir_all(&*data).map_err(|e| Failure::unwritable(data, &e))?;
                 let name = format!("{}.png", picture.captured.as_nanos());
                 let place = data.join(&name);
-                std::fs::write(&place, &picture.value.0.data).map_err(|e| unwritable(&place, &e))?;
+                std::fs::write(&place, &picture.value.0.data).map_err(|e| Failure::unwritable(&place, &e))?;
                 format!("{},{name}", picture.captured.as_nanos())
             };
-            writeln!(file, "{line}").map_err(|e| unwritable(&path, &e))?;
+            writeln!(file, "{line}").map_err(|e| Failure::unwritable(&path, &e))?;
             written.rows += 1;
         }
         for (_, (written, mut file, _)) in tables {
-            file.flush().map_err(|e| unwritable(&written.path, &e))?;
+            file.flush().map_err(|e| Failure::unwritable(&written.path, &e))?;
             all.push(written);
         }
         let mut again = Reader::open(&self.file).map_err(|error| failed(&error))?;
@@ -295,9 +291,9 @@ impl ExportArgs {
                 let [x, y, z, qx, qy, qz, qw] = components(pose);
                 let at: &Timestamp = at;
                 writeln!(file, "{},{x},{y},{z},{qw},{qx},{qy},{qz}", at.as_nanos())
-                    .map_err(|e| unwritable(&path, &e))?;
+                    .map_err(|e| Failure::unwritable(&path, &e))?;
             }
-            file.flush().map_err(|e| unwritable(&path, &e))?;
+            file.flush().map_err(|e| Failure::unwritable(&path, &e))?;
             all.push(Written { stream, path, rows: trajectory.poses.len() as u64 });
         }
         Ok(all)

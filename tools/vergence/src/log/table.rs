@@ -49,10 +49,6 @@ fn word(cell: Cell) -> String {
     }
 }
 
-fn unwritable(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::Work(format!("{}: {error}", path.display()))
-}
-
 /// Where rows of a table go; a cell that is missing is empty, or null.
 pub trait Table {
     fn push(&mut self, row: Vec<Option<Cell>>) -> Result<(), Failure>;
@@ -66,9 +62,9 @@ pub struct CsvTable {
 
 impl CsvTable {
     pub fn new(path: &Path, columns: &[(String, Column)]) -> Result<Self, Failure> {
-        let mut out = csv::Writer::from_path(path).map_err(|e| unwritable(path, &e))?;
+        let mut out = csv::Writer::from_path(path).map_err(|e| Failure::unwritable(path, &e))?;
         let names = columns.iter().map(|(name, _)| name);
-        out.write_record(names).map_err(|e| unwritable(path, &e))?;
+        out.write_record(names).map_err(|e| Failure::unwritable(path, &e))?;
         Ok(Self { path: path.to_owned(), out })
     }
 }
@@ -76,11 +72,11 @@ impl CsvTable {
 impl Table for CsvTable {
     fn push(&mut self, row: Vec<Option<Cell>>) -> Result<(), Failure> {
         let words = row.into_iter().map(|cell| cell.map_or_else(String::new, word));
-        self.out.write_record(words).map_err(|e| unwritable(&self.path, &e))
+        self.out.write_record(words).map_err(|e| Failure::unwritable(&self.path, &e))
     }
 
     fn finish(&mut self) -> Result<(), Failure> {
-        self.out.flush().map_err(|e| unwritable(&self.path, &e))
+        self.out.flush().map_err(|e| Failure::unwritable(&self.path, &e))
     }
 }
 
@@ -97,7 +93,7 @@ pub struct ParquetTable {
 
 impl ParquetTable {
     pub fn new(path: &Path, columns: &[(String, Column)]) -> Result<Self, Failure> {
-        let file = File::create(path).map_err(|e| unwritable(path, &e))?;
+        let file = File::create(path).map_err(|e| Failure::unwritable(path, &e))?;
         let open = || -> Result<SerializedFileWriter<File>, ParquetError> {
             let fields = columns.iter().map(|(name, kind)| {
                 let (physical, logical) = match kind {
@@ -117,7 +113,7 @@ impl ParquetTable {
                 WriterProperties::builder().set_compression(Compression::ZSTD(ZstdLevel::default())).build();
             SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties))
         };
-        let out = open().map_err(|e| unwritable(path, &e))?;
+        let out = open().map_err(|e| Failure::unwritable(path, &e))?;
         let kinds = columns.iter().map(|(_, kind)| *kind).collect();
         Ok(Self { path: path.to_owned(), kinds, rows: Vec::new(), out: Some(out) })
     }
@@ -174,7 +170,7 @@ impl Table for ParquetTable {
     fn push(&mut self, row: Vec<Option<Cell>>) -> Result<(), Failure> {
         self.rows.push(row);
         if self.rows.len() * self.kinds.len() >= CELLS_PER_GROUP {
-            self.group().map_err(|e| unwritable(&self.path, &e))?;
+            self.group().map_err(|e| Failure::unwritable(&self.path, &e))?;
         }
         Ok(())
     }
@@ -187,6 +183,6 @@ impl Table for ParquetTable {
             }
             Ok(())
         };
-        close().map_err(|e| unwritable(&self.path, &e))
+        close().map_err(|e| Failure::unwritable(&self.path, &e))
     }
 }

@@ -91,7 +91,7 @@ impl FilterTrade {
             return Err(Failure::Call(format!("--noise: expected 0 to 1 m, found {noise_m} m")));
         }
         let Motion { sources, skipped, stretches } = self.read(noise_m)?;
-        std::fs::create_dir_all(&self.output).map_err(|e| unwritable(&self.output, &e))?;
+        std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))?;
         let candidates = candidates(self.quick);
         let bar = ProgressBar::new(candidates.len() as u64);
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}") {
@@ -195,7 +195,7 @@ impl FilterTrade {
     fn write(&self, trade: &Trade, said: &str) -> Result<(), Failure> {
         let save = |name: &str, text: &str| {
             let path = self.output.join(name);
-            std::fs::write(&path, text).map_err(|e| unwritable(&path, &e))
+            std::fs::write(&path, text).map_err(|e| Failure::unwritable(&path, &e))
         };
         let mut page = Page::new("What smoothing costs").paragraph(said);
         for (scale, name) in [(ERROR, "error"), (LAG, "lag")] {
@@ -208,10 +208,6 @@ impl FilterTrade {
         let text = serde_json::to_string_pretty(&json(trade, said)).map_err(|e| Failure::work(&e))?;
         save("filters.json", &text)
     }
-}
-
-fn unwritable(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::Work(format!("{}: {error}", path.display()))
 }
 
 /// What was done, in sentences.

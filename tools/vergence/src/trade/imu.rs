@@ -180,7 +180,7 @@ fn measure(
 impl ImuTrade {
     pub fn run(self) -> Result<(), Failure> {
         let recordings = self.read()?;
-        std::fs::create_dir_all(&self.output).map_err(|e| unwritable(&self.output, &e))?;
+        std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))?;
         let limit = self.budget.map(Limit::Cost).or(self.error.map(Limit::Error));
         let metric = self.metric as usize;
         let candidates = candidates(self.quick);
@@ -245,7 +245,7 @@ impl ImuTrade {
     ) -> Result<(), Failure> {
         let save = |name: &str, text: &str| {
             let path = self.output.join(name);
-            std::fs::write(&path, text).map_err(|e| unwritable(&path, &e))
+            std::fs::write(&path, text).map_err(|e| Failure::unwritable(&path, &e))
         };
         let metric = self.metric as usize;
         let mut page = Page::new("What orientation costs").paragraph(&format!(
@@ -307,10 +307,6 @@ impl ImuTrade {
         let _ = writeln!(text, "look at it: {}", self.output.join("trade.html").display());
         print!("{text}");
     }
-}
-
-fn unwritable(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::Work(format!("{}: {error}", path.display()))
 }
 
 fn trade(

@@ -93,7 +93,7 @@ impl SlamTrade {
         let Some(truth) = dataset.truth.take() else {
             return Err(Failure::Work(format!("{}: expected a truth, found none", folder.display())));
         };
-        std::fs::create_dir_all(&self.output).map_err(|e| unwritable(&self.output, &e))?;
+        std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))?;
         let mode = self.mode.mode();
         // Without an inertial unit and with one camera, nothing says how large anything is.
         let align = if mode == vergence_slam::playback::Mode::Mono { Align::Sim3 } else { Align::Se3 };
@@ -143,7 +143,7 @@ impl SlamTrade {
     fn write(&self, trade: &Trade, chosen: Option<(usize, Config)>, frames: usize) -> Result<(), Failure> {
         let save = |name: &str, text: &str| {
             let path = self.output.join(name);
-            std::fs::write(&path, text).map_err(|e| unwritable(&path, &e))
+            std::fs::write(&path, text).map_err(|e| Failure::unwritable(&path, &e))
         };
         let index = chosen.as_ref().map(|c| c.0);
         let plot = trade.plot(0, 0, index);
@@ -177,10 +177,6 @@ impl SlamTrade {
         }
         println!("look at it: {}", self.output.join("trade.html").display());
     }
-}
-
-fn unwritable(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::Work(format!("{}: {error}", path.display()))
 }
 
 #[cfg(test)]
