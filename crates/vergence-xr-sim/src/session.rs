@@ -343,15 +343,17 @@ pub(crate) fn create_session(
         return Err(sys::Result::ERROR_VALIDATION_FAILURE);
     }
     let graphics = Graphics::from_chain(&instance, info.next.cast::<c_void>())?;
-    if instance.lock().session.strong_count() > 0 {
-        return Err(sys::Result::ERROR_LIMIT_REACHED);
-    }
     let profile: &Profile = &instance.config.profile;
     let stage_from_local = match instance.config.motion.head(Timestamp::default()).pose() {
         Some(head) => upright(&head),
         None => Rigid::translation(0.0, 1.6, 0.0),
     };
     let rate_hz = profile.rates_hz[0];
+    // Of two threads that ask at once, one gets the session.
+    let mut shared = instance.lock();
+    if shared.session.strong_count() > 0 {
+        return Err(sys::Result::ERROR_LIMIT_REACHED);
+    }
     let (handle, session) = handle::insert(sys::Handle::into_raw(instance.handle), |handle| Session {
         handle,
         instance: instance.clone(),
@@ -373,7 +375,8 @@ pub(crate) fn create_session(
         }),
         frame_begun: Condvar::new(),
     });
-    instance.lock().session = Arc::downgrade(&session);
+    shared.session = Arc::downgrade(&session);
+    drop(shared);
     let inner = &mut *session.lock();
     match session.instance.config.motion.replay() {
         Some(replay) if !replay.is_exhausted() => replay.begin_session(),

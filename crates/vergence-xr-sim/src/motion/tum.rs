@@ -50,7 +50,7 @@ pub fn parse_tum(path: &Path, text: &str) -> Result<Vec<Sample>, Error> {
         }
         let mut words = line.split_whitespace();
         let time = words.next().unwrap_or_default();
-        let at = parse_seconds(time).ok_or_else(|| wrong("a time in seconds", time))?;
+        let at = Timestamp::from_decimal(time, 9).ok_or_else(|| wrong("a time in seconds", time))?;
         let mut numbers = [0.0; 7];
         for number in &mut numbers {
             let word = words.next().ok_or_else(|| wrong("eight numbers: t x y z qx qy qz qw", line))?;
@@ -87,28 +87,6 @@ pub fn parse_tum(path: &Path, text: &str) -> Result<Vec<Sample>, Error> {
     Ok(samples)
 }
 
-/// Decimal seconds as whole nanoseconds; digits beyond the ninth round to nearest.
-fn parse_seconds(word: &str) -> Option<Timestamp> {
-    let (sign, digits) = match word.strip_prefix('-') {
-        Some(digits) => (-1, digits),
-        None => (1, word),
-    };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
-    let decimal = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());
-    if (whole.is_empty() && fraction.is_empty()) || !decimal(whole) || !decimal(fraction) {
-        // Exponents are rare and small: an f64 does.
-        let secs: f64 = word.parse().ok()?;
-        return vergence_time::Span::from_secs_f64(secs).map(|span| Timestamp::from_nanos(span.as_nanos()));
-    }
-    let mut nanos: i64 = if whole.is_empty() { 0 } else { whole.parse().ok()? };
-    for index in 0..9 {
-        let digit = fraction.as_bytes().get(index).map_or(0, |byte| i64::from(byte - b'0'));
-        nanos = nanos.checked_mul(10)?.checked_add(digit)?;
-    }
-    let round_up = fraction.as_bytes().get(9).is_some_and(|&byte| byte >= b'5');
-    Some(Timestamp::from_nanos(sign * nanos.checked_add(i64::from(round_up))?))
-}
-
 fn shorten(text: &str) -> String {
     let short: String = text.chars().take(60).collect();
     if short.len() < text.len() { format!("\"{short}…\"") } else { format!("\"{short}\"") }
@@ -133,7 +111,7 @@ mod tests {
             ("2.5e-1", 250_000_000),
             (".25", 250_000_000),
         ] {
-            assert_eq!(parse_seconds(word), Some(Timestamp::from_nanos(nanos)), "{word}");
+            assert_eq!(Timestamp::from_decimal(word, 9), Some(Timestamp::from_nanos(nanos)), "{word}");
         }
     }
 

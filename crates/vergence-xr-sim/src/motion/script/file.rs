@@ -7,9 +7,8 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use vergence_config::{Angle, Duration, Length};
 use vergence_time::{Span, Timestamp};
 
-use super::{Bare, Body, Held, RawTracking, Script};
+use super::{Body, Held, RawTracking, Script};
 use crate::Error;
-use crate::motion::track::Track;
 use crate::motion::{AtEnd, Presence};
 
 /// Times beyond this many seconds are refused: a day.
@@ -189,18 +188,7 @@ impl Reader<'_> {
     }
 
     fn script(&self, raw: Raw) -> Result<Script, Error> {
-        let mut script = Script {
-            at_end: raw.at_end,
-            duration: Span::ZERO,
-            head: Body::default(),
-            hands: [Held::default(), Held::default()],
-            bare: [Bare::default(), Bare::default()],
-            gaze: Body::default(),
-            gaze_in_stage: Body::default(),
-            presence: Track::default(),
-            render: Track::default(),
-            recentrings: Vec::new(),
-        };
+        let mut script = Script::empty(raw.at_end);
         let mut last = Timestamp::default();
         for (at, _, key) in self.timed("headset", raw.headset, |key| key.time)? {
             script.presence.extend(at, key.presence);

@@ -78,6 +78,22 @@ struct Held {
 }
 
 impl Script {
+    /// Of somebody who does nothing yet.
+    fn empty(at_end: AtEnd) -> Self {
+        Self {
+            at_end,
+            duration: Span::ZERO,
+            head: Body::default(),
+            hands: [Held::default(), Held::default()],
+            bare: [Bare::default(), Bare::default()],
+            gaze: Body::default(),
+            gaze_in_stage: Body::default(),
+            presence: Track::default(),
+            render: Track::default(),
+            recentrings: Vec::new(),
+        }
+    }
+
     /// The instant of the script at motion time `at`.
     fn instant(&self, at: Timestamp) -> Timestamp {
         let (nanos, duration) = (at.as_nanos(), self.duration.as_nanos());

@@ -4,8 +4,7 @@ use vergence_geom::Rigid;
 use vergence_sense::{ControlState, JOINTS_PER_HAND, RawJoints, RawLocation, Said, Tracking};
 use vergence_time::{Span, Timestamp};
 
-use super::{Bare, Body, EYES_M, Held, RawTracking, Script};
-use crate::motion::track::Track;
+use super::{Body, EYES_M, RawTracking, Script};
 use crate::motion::{AtEnd, HandPose};
 
 impl Script {
@@ -18,18 +17,7 @@ impl Script {
     /// Motion time 0 is when the session began to run, as the clock said at its first frame. The floor is the recorded one,
     /// where it was known.
     pub fn of_session(frames: impl Iterator<Item = Vec<Said>>, parts: &[Option<Part>]) -> Self {
-        let mut script = Self {
-            at_end: AtEnd::Stop,
-            duration: Span::ZERO,
-            head: Body::default(),
-            hands: [Held::default(), Held::default()],
-            bare: [Bare::default(), Bare::default()],
-            gaze: Body::default(),
-            gaze_in_stage: Body::default(),
-            presence: Track::default(),
-            render: Track::default(),
-            recentrings: Vec::new(),
-        };
+        let mut script = Self::empty(AtEnd::Stop);
         let mut began = None;
         let mut stage_from_local = Rigid::translation(0.0, EYES_M[1], 0.0);
         for frame in frames {
