@@ -91,8 +91,7 @@ impl Connection {
             }
         }
         let (instance, api) = create_instance(&entry, app_name, &chosen)?;
-        let properties = instance.properties().during("xrGetInstanceProperties")?;
-        let runtime = format!("{} {}", properties.runtime_name, properties.runtime_version);
+        let runtime = runtime_name(&instance).during("xrGetInstanceProperties")?;
         let system =
             instance.system(openxr::FormFactor::HEAD_MOUNTED_DISPLAY).map_err(|result| match result {
                 sys::Result::ERROR_FORM_FACTOR_UNAVAILABLE | sys::Result::ERROR_FORM_FACTOR_UNSUPPORTED => {
@@ -100,7 +99,7 @@ impl Connection {
                 }
                 result => Error::of("xrGetSystem", result),
             })?;
-        let headset = instance.system_properties(system).during("xrGetSystemProperties")?.system_name;
+        let headset = headset_name(&instance, system).during("xrGetSystemProperties")?;
         let view_configuration = view_configuration(&instance, system)?;
         let views = view_sizes(&instance, system, view_configuration)?;
         let blend_mode = blend_mode(&instance, system, view_configuration)?;
@@ -206,6 +205,49 @@ fn offered_extensions(entry: &openxr::Entry) -> Result<Vec<String>, Error> {
         error => error,
     })?;
     Ok(properties.iter().map(|p| text(&p.extension_name)).collect())
+}
+
+/// The runtime's name and version. The crate's own way trusts the runtime to end its name with a NUL and to write UTF-8.
+fn runtime_name(instance: &openxr::Instance) -> openxr::Result<String> {
+    let mut properties = sys::InstanceProperties {
+        ty: sys::InstanceProperties::TYPE,
+        next: std::ptr::null_mut(),
+        runtime_version: openxr::Version::new(0, 0, 0),
+        runtime_name: [0; sys::MAX_RUNTIME_NAME_SIZE],
+    };
+    // SAFETY: the instance lives; the structure says what it is and lives through the call.
+    let result = unsafe { (instance.fp().get_instance_properties)(instance.as_raw(), &raw mut properties) };
+    if result != sys::Result::SUCCESS {
+        return Err(result);
+    }
+    Ok(format!("{} {}", text(&properties.runtime_name), properties.runtime_version))
+}
+
+/// The headset's name; as for the runtime's.
+fn headset_name(instance: &openxr::Instance, system: openxr::SystemId) -> openxr::Result<String> {
+    let mut properties = sys::SystemProperties {
+        ty: sys::SystemProperties::TYPE,
+        next: std::ptr::null_mut(),
+        system_id: system,
+        vendor_id: 0,
+        system_name: [0; sys::MAX_SYSTEM_NAME_SIZE],
+        graphics_properties: sys::SystemGraphicsProperties {
+            max_swapchain_image_height: 0,
+            max_swapchain_image_width: 0,
+            max_layer_count: 0,
+        },
+        tracking_properties: sys::SystemTrackingProperties {
+            orientation_tracking: sys::FALSE,
+            position_tracking: sys::FALSE,
+        },
+    };
+    // SAFETY: instance and system belong together; the structure says what it is and lives through the call.
+    let result =
+        unsafe { (instance.fp().get_system_properties)(instance.as_raw(), system, &raw mut properties) };
+    if result != sys::Result::SUCCESS {
+        return Err(result);
+    }
+    Ok(text(&properties.system_name))
 }
 
 /// A fixed array up to its first NUL or its end.
