@@ -7,8 +7,10 @@ use serde::Deserialize;
 
 use crate::error::Error;
 
+/// A file may say how devices are read whose adapters are left out.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[cfg_attr(not(all(feature = "serial", feature = "hid", feature = "gamepad")), allow(dead_code))]
 struct Raw {
     #[serde(default)]
     serial: RawSerial,
@@ -79,7 +81,7 @@ impl Config {
     }
 
     fn resolve(raw: Raw, path: &Path) -> Result<Self, Error> {
-        #[cfg_attr(not(feature = "serial"), allow(unused_mut))]
+        #[cfg_attr(not(any(feature = "serial", feature = "hid", feature = "gamepad")), allow(unused_mut))]
         let mut config = Self::default();
         #[cfg(feature = "serial")]
         {
@@ -117,6 +119,7 @@ impl Config {
                     Some(known.ok_or_else(|| refuse(&columns, "expected names separated by commas"))?);
             }
         }
+        #[cfg(any(feature = "gamepad", feature = "hid"))]
         let beside = |mapping: PathBuf| path.parent().unwrap_or(Path::new("")).join(mapping);
         #[cfg(feature = "gamepad")]
         for mapping in raw.gamepad.mappings {

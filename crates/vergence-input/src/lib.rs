@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 #[cfg(any(feature = "serial", feature = "hid", feature = "gamepad"))]
+#[cfg(any(feature = "gamepad", feature = "hid"))]
 mod claim;
 mod config;
 mod connection;
