@@ -285,10 +285,10 @@ fn times(log: &SessionLog, add: &mut dyn FnMut(Kind, String)) {
     }
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
+/// Of those that are numbers.
+fn middle(mut values: Vec<f64>) -> Option<f64> {
     values.retain(|value| value.is_finite());
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+    vergence_stats::median(&values)
 }
 
 /// Sizes against the plan, times against each other, ends against targets.
@@ -320,10 +320,10 @@ fn units(folder: &Folder, log: &SessionLog, add: &mut dyn FnMut(Kind, String)) {
         }
     }
     let checks = [
-        ("widths", "the plan's", median(widths)),
-        ("amplitudes", "the plan's", median(amplitudes)),
-        ("movement times", "those of their samples", median(durations)),
-        ("movements", "their amplitudes", median(reaches)),
+        ("widths", "the plan's", middle(widths)),
+        ("amplitudes", "the plan's", middle(amplitudes)),
+        ("movement times", "those of their samples", middle(durations)),
+        ("movements", "their amplitudes", middle(reaches)),
     ];
     for (what, of, ratio) in checks {
         if let Some(text) = ratio.and_then(|ratio| slip(ratio, 1.0)) {

