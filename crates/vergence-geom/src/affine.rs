@@ -72,11 +72,6 @@ impl Affine {
         let linear = self.linear.try_inverse()?;
         Some(Self { linear, translation: -(linear * self.translation) })
     }
-
-    /// The largest factor by which a length grows (an upper bound: the Frobenius norm).
-    pub fn largest_scale_bound(&self) -> f64 {
-        self.linear.norm()
-    }
 }
 
 impl From<Rigid> for Affine {

@@ -402,13 +402,6 @@ impl Device {
         merged.at("vkMergePipelineCaches")
     }
 
-    /// What a format can be used for with optimal tiling.
-    pub fn format_features(&self, format: vk::Format) -> vk::FormatFeatureFlags {
-        // SAFETY: the physical device is of this instance.
-        unsafe { self.instance.raw.get_physical_device_format_properties(self.physical, format) }
-            .optimal_tiling_features
-    }
-
     pub(crate) fn name<T: vk::Handle>(&self, handle: T, name: &str) {
         if let Some(names) = &self.names {
             let name = CString::new(name.replace('\0', "")).unwrap_or_default();

@@ -180,11 +180,6 @@ impl Plan {
         plan
     }
 
-    /// Whether a pass is in the plan.
-    pub fn has_pass(&self, pass: Pass) -> bool {
-        self.passes.contains(&pass)
-    }
-
     /// Whether a stream is in the plan.
     pub fn has_stream(&self, stream: Stream) -> bool {
         self.streams.contains(&stream)

@@ -417,13 +417,18 @@ fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
             Notice::State(state) => run.report.states.push(state.name().to_owned()),
             Notice::Recentred { at } => *recentring = Some(Recentring::and(*recentring, at)),
             Notice::HiddenAreaChanged => mask_changed = true,
-            Notice::HandsChanged | Notice::RefreshRate { .. } | Notice::Time(_) | Notice::EventsLost(_) => {}
+            Notice::HandsChanged
+            | Notice::RefreshRate { .. }
+            | Notice::Time(_)
+            | Notice::EventsLost(_)
+            | Notice::FrameDiscarded => {}
         }
         log::info!("{notice}");
         if !matches!(notice, Notice::State(_) | Notice::HandsChanged) {
             run.note(&notice.to_string());
         }
     }
+    run.report.notices_left_out += session.client.take_notices_left_out();
     if mask_changed {
         session.device.wait_idle()?;
         run.report.visibility_mask = mask(&mut session.client, &mut session.renderer)?;

@@ -102,7 +102,6 @@ pub struct Client {
     waited: Option<Frame>,
     /// Begun, not ended.
     begun: Option<Frame>,
-    discarded: u64,
     /// The latest instant that is known to have been.
     latest: Option<Timestamp>,
     ear: Ear,
@@ -172,7 +171,6 @@ impl Client {
             near_m: desc.near_m,
             waited: None,
             begun: None,
-            discarded: 0,
             latest: None,
             ear: Ear::default(),
             events: Box::new(openxr::EventDataBuffer::new()),
@@ -214,11 +212,6 @@ impl Client {
     /// The latest instant of session time that is known to have been; `None` before the first frame.
     pub const fn latest(&self) -> Option<Timestamp> {
         self.latest
-    }
-
-    /// Frames that the runtime threw away because the next one was begun.
-    pub const fn discarded_frames(&self) -> u64 {
-        self.discarded
     }
 
     /// The driver of the device that draws, with its version.
@@ -307,9 +300,9 @@ impl Client {
         self.notices.drain()
     }
 
-    /// How many notices were left out so far because those before them had not been asked for.
-    pub const fn notices_left_out(&self) -> u64 {
-        self.notices.left_out()
+    /// How many notices were left out since the last call of this, because those before them had not been asked for.
+    pub fn take_notices_left_out(&mut self) -> u64 {
+        self.notices.take_left_out()
     }
 
     /// Asks the runtime to end the session: states then lead to [`State::Exiting`]. Nothing happens where no frames are
@@ -390,7 +383,7 @@ impl Client {
         let begun = ear.check(Call::BeginFrame, result);
         let result = self.note(begun)?;
         if result == sys::Result::FRAME_DISCARDED {
-            self.discarded += 1;
+            self.notices.push(Notice::FrameDiscarded);
         }
         self.begun = self.waited.take();
         Ok(())

@@ -35,6 +35,8 @@ pub enum Notice {
     Time(TimeFault),
     /// The runtime could not keep all its events.
     EventsLost(u32),
+    /// The runtime threw a frame away, because the next one was begun before it ended.
+    FrameDiscarded,
 }
 
 impl std::fmt::Display for Notice {
@@ -49,6 +51,7 @@ impl std::fmt::Display for Notice {
             }
             Self::Time(fault) => write!(f, "the runtime's {fault}"),
             Self::EventsLost(count) => write!(f, "the runtime lost {count} events"),
+            Self::FrameDiscarded => f.write_str("the runtime threw a frame away that had not ended"),
         }
     }
 }
@@ -162,9 +165,9 @@ impl Notices {
         self.kept.drain(..)
     }
 
-    /// How many notices were left out so far, because nobody had asked for those before them.
-    pub(crate) const fn left_out(&self) -> u64 {
-        self.left_out
+    /// How many notices were left out since the last call, because nobody had asked for those before them.
+    pub(crate) fn take_left_out(&mut self) -> u64 {
+        std::mem::take(&mut self.left_out)
     }
 
     /// Takes an event and says what must be called.
@@ -208,13 +211,13 @@ mod tests {
         let mut notices = Notices::default();
         let room = notices.kept.capacity();
         (0..NOTICES_KEPT + 10).for_each(|_| notices.push(Notice::HandsChanged));
-        assert_eq!(notices.left_out(), 10);
+        assert_eq!(notices.take_left_out(), 10);
         let at = |nanos| Notice::Recentred { at: Timestamp::from_nanos(nanos) };
         for nanos in [50, 40, 70, 60] {
             notices.push(at(nanos));
             notices.push(Notice::HiddenAreaChanged);
         }
-        assert_eq!((notices.kept.capacity(), notices.left_out()), (room, 10 + 2 + 3));
+        assert_eq!((notices.kept.capacity(), notices.take_left_out()), (room, 2 + 3));
         let told: Vec<Notice> = notices.drain().skip(NOTICES_KEPT).collect();
         assert_eq!(told, [at(40), Notice::HiddenAreaChanged, at(70)]);
     }
