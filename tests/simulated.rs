@@ -271,6 +271,21 @@ fn plans_differ_as_scenes_do() {
     assert_ne!(small["plan"], room["plan"]);
 }
 
+#[test]
+fn who_has_read_enough_is_not_told_of_a_panic() {
+    let mut plan = Command::new(vergence_tests::vergence())
+        .args(["plan".as_ref(), sample().as_os_str()])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the vergence binary starts");
+    // Nobody reads, as behind `| head` once it has its lines.
+    drop(plan.stdout.take());
+    let ended = plan.wait_with_output().expect("it ends");
+    assert_eq!(ended.status.code(), Some(141), "{}", told(&ended));
+    assert!(ended.stderr.is_empty(), "{}", told(&ended));
+}
+
 /// What `tools/run` asks for, where a real runtime is found: ours, opened by the system's loader.
 #[test]
 fn a_real_headset_does_without_the_motion_of_the_simulated_one() {

@@ -99,7 +99,23 @@ fn quiet_loader() {
     }
 }
 
+/// Who reads what is printed may have enough of it (`… | head`): then this process ends without a word, with the status that a
+/// shell gives to a process which writes to a pipe that nobody reads. Rust ignores the signal, and `println!` panics; the
+/// signal's own way would also end a run whose runtime or display goes away.
+fn end_where_nobody_reads() {
+    const NOBODY_READS: i32 = 128 + 13;
+    let usual = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        let says = panic.payload_as_str().unwrap_or_default();
+        if says.starts_with("failed printing to std") && says.contains("Broken pipe") {
+            std::process::exit(NOBODY_READS);
+        }
+        usual(panic);
+    }));
+}
+
 fn main() -> ExitCode {
+    end_where_nobody_reads();
     let cli = Cli::parse();
     logging::start(cli.verbose);
     if cli.verbose == 0 && matches!(cli.verb, Verb::Run(_) | Verb::Doctor(_)) {
