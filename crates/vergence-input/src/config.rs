@@ -17,6 +17,7 @@ struct Raw {
     #[serde(default)]
     hid: RawHid,
     #[serde(default)]
+    #[cfg_attr(not(feature = "gamepad"), allow(dead_code))]
     gamepad: RawGamepad,
 }
 

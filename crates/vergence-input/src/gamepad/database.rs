@@ -110,16 +110,21 @@ pub fn look_up<'a>(text: &'a str, guid: &[u8; 16]) -> Option<(Line<'a>, bool)> {
 
 /// The 16 bytes of a device on Linux.
 pub fn guid(bus: u16, vendor: u16, product: u16, version: u16, name: &str) -> [u8; 16] {
-    let mut guid = [0; 16];
-    guid[..2].copy_from_slice(&bus.to_le_bytes());
-    if vendor != 0 && product != 0 {
-        guid[4..6].copy_from_slice(&vendor.to_le_bytes());
-        guid[8..10].copy_from_slice(&product.to_le_bytes());
-        guid[12..14].copy_from_slice(&version.to_le_bytes());
-    } else {
+    let mut guid = guid_of_numbers(bus, vendor, product, version);
+    if vendor == 0 || product == 0 {
+        guid[4..].fill(0);
         for (to, from) in guid[4..15].iter_mut().zip(name.bytes()) {
             *to = from;
         }
+    }
+    guid
+}
+
+/// The 16 bytes of these numbers, as gilrs has them for every device.
+pub(super) fn guid_of_numbers(bus: u16, vendor: u16, product: u16, version: u16) -> [u8; 16] {
+    let mut guid = [0; 16];
+    for (at, number) in [(0, bus), (4, vendor), (8, product), (12, version)] {
+        guid[at..at + 2].copy_from_slice(&number.to_le_bytes());
     }
     guid
 }

@@ -32,6 +32,9 @@ pub(super) const BUTTONS: [(&str, &str); 24] = [
     ("misc_4", "misc4"),
 ];
 
+/// So many of them, from the first, gilrs has names for.
+pub(super) const COMMON: usize = 15;
+
 /// Numbers behind the sticks and triggers, and SDL's word.
 const NUMBERS: [(Number, &str); 6] = [
     (Number::LeftX, "leftx"),
@@ -80,6 +83,16 @@ pub(super) enum To {
 pub(super) struct Binding {
     pub(super) from: From,
     pub(super) to: To,
+}
+
+impl Binding {
+    /// The kernel's type and code of the input.
+    pub(super) fn input(&self) -> (u16, u16) {
+        match self.from {
+            From::Key(key) => (1, key),
+            From::Axis { axis, .. } => (3, axis),
+        }
+    }
 }
 
 /// What a node has: keys and absolute axes, ascending.
@@ -202,6 +215,56 @@ impl Layout {
         Self { bindings }
     }
 
+    /// What gilrs is told, as a line of SDL's format by its own counting of buttons and axes, and what such a line cannot tell it
+    /// (it takes of an axis the whole, upright, and names neither paddles nor more than the common buttons), which stays by code.
+    pub(super) fn for_gilrs(&self, guid: &[u8; 16], codes: &Codes) -> (String, Vec<Binding>) {
+        use std::fmt::Write as _;
+        let keys = [(0x100, 0x110), (code::BTN_JOYSTICK, u16::MAX), (0, 0x100), (0x110, code::BTN_JOYSTICK)];
+        let keys: Vec<u16> = keys
+            .iter()
+            .flat_map(|(from, to)| codes.keys.iter().copied().filter(move |key| (*from..*to).contains(key)))
+            .collect();
+        let part = |binding: &Binding| {
+            let element = match binding.to {
+                To::Button(place) => BUTTONS.get(..COMMON)?.get(place)?.1,
+                To::Number(number, Half::Whole) => NUMBERS.iter().find(|(own, _)| *own == number)?.1,
+                To::Number(..) => return None,
+            };
+            let is_way = matches!(element, "leftx" | "lefty" | "rightx" | "righty");
+            let input = match binding.from {
+                From::Key(key) if !is_way => format!("b{}", keys.iter().position(|own| *own == key)?),
+                From::Axis { axis, half: Half::Whole, is_inverted: false } => {
+                    format!("a{}", codes.axes.iter().position(|own| *own == axis)?)
+                }
+                From::Axis { axis, half, is_inverted: false } => match (axis, half, element) {
+                    (0x11, Half::Negative, "dpup") => "h0.1".to_owned(),
+                    (0x10, Half::Positive, "dpright") => "h0.2".to_owned(),
+                    (0x11, Half::Positive, "dpdown") => "h0.4".to_owned(),
+                    (0x10, Half::Negative, "dpleft") => "h0.8".to_owned(),
+                    _ => return None,
+                },
+                _ => return None,
+            };
+            Some(format!("{element}:{input},"))
+        };
+        // What is bound more than once gilrs takes for the last of it, except the two ways of a hat.
+        let is_known = |binding: &Binding| {
+            let mut same = self.bindings.iter().filter(|other| other.input() == binding.input());
+            let count = self.bindings.iter().filter(|other| other.input() == binding.input()).count();
+            same.all(|other| part(other).is_some())
+                && (count == 1 || matches!(binding.from, From::Axis { axis: 0x10 | 0x11, .. }) && count == 2)
+        };
+        let mut line = String::with_capacity(512);
+        for byte in guid {
+            let _ = write!(line, "{byte:02x}");
+        }
+        line.push_str(",pad,");
+        let (told, rest): (Vec<Binding>, Vec<Binding>) = self.bindings.iter().partition(|b| is_known(b));
+        line.extend(told.iter().filter_map(part));
+        line.push_str("platform:Linux,");
+        (line, rest)
+    }
+
     /// Streams of the pad, with what each is made of.
     pub(super) fn streams(&self) -> Vec<(SourceStream, Output)> {
         let has = |number| self.bindings.iter().any(|b| matches!(b.to, To::Number(own, _) if own == number));
@@ -248,6 +311,10 @@ impl State {
 
     pub(super) fn number(&self, number: Number) -> f32 {
         self.numbers[number as usize]
+    }
+
+    pub(super) fn set(&mut self, number: Number, value: f32) {
+        self.numbers[number as usize] = value;
     }
 
     /// Takes what an input is now: −1 to 1, of keys 0 or 1.
@@ -321,6 +388,35 @@ mod tests {
         }
         assert_eq!(known.bindings.len(), rule.bindings.len());
         assert_eq!(known.streams().len(), 2 + 2 + 15);
+    }
+
+    #[test]
+    fn gilrs_is_told_by_its_own_counting_and_the_rest_stays() {
+        let bind = |from, to| Binding { from, to };
+        let axis = |axis, half, is_inverted| From::Axis { axis, half, is_inverted };
+        let (whole, stick) = (Half::Whole, To::Number(Number::LeftX, Half::Whole));
+        let kept = [
+            bind(axis(1, whole, true), To::Number(Number::LeftY, whole)),
+            bind(axis(2, Half::Positive, false), To::Button(place("dpad/right"))),
+            bind(axis(2, Half::Negative, false), To::Button(place("dpad/left"))),
+            bind(From::Key(0x2c0), To::Button(place("paddle_left"))),
+        ];
+        let told = [
+            bind(From::Key(0x130), To::Button(place("south"))),
+            bind(From::Key(0x1), To::Button(place("start"))),
+            bind(axis(0, whole, false), stick),
+            bind(axis(0x10, Half::Negative, false), To::Button(place("dpad/left"))),
+            bind(axis(0x10, Half::Positive, false), To::Button(place("dpad/right"))),
+            bind(axis(5, whole, false), To::Number(Number::RightTrigger, whole)),
+        ];
+        let codes = Codes { keys: vec![0x1, 0x100, 0x130, 0x2c0], axes: vec![0, 1, 2, 5, 0x10, 0x11] };
+        let layout = Layout { bindings: [&told[..], &kept[..]].concat() };
+        let (line, rest) = layout.for_gilrs(&guid(3, 1, 2, 3, ""), &codes);
+        // gilrs counts 0x100 first, then joystick buttons, then keys.
+        let elements = "a:b1,start:b3,leftx:a0,dpleft:h0.8,dpright:h0.2,righttrigger:a3,";
+        assert_eq!(line, format!("03000000010000000200000003000000,pad,{elements}platform:Linux,"));
+        assert_eq!(rest, kept);
+        assert!(lines(&line).all(|line| line.is_ok()), "SDL's format as well");
     }
 
     #[test]

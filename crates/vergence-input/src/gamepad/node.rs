@@ -1,5 +1,6 @@
 //! The input nodes that there are, as the kernel describes them without their being opened.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::database::{self, look_up};
@@ -43,6 +44,8 @@ pub(super) struct Node {
     pub(super) kind: Kind,
     pub(super) codes: Codes,
     guid: [u8; 16],
+    /// As gilrs has it: of the numbers, whatever they are.
+    pub(super) gilrs_guid: [u8; 16],
     is_xpad: bool,
     keeps_rules: bool,
 }
@@ -50,8 +53,8 @@ pub(super) struct Node {
 impl Node {
     /// Which control is where: by the lines of the configuration, else by those that are built in, else by the kernel's rules.
     /// A line for another version of the device, read by another driver perhaps, counts less than a driver that keeps the rules.
-    pub(super) fn layout(&self, config: &Config) -> Layout {
-        let own = config.gamepad_mappings.iter().find_map(|text| look_up(text, &self.guid));
+    pub(super) fn layout(&self, mappings: &[String]) -> Layout {
+        let own = mappings.iter().find_map(|text| look_up(text, &self.guid));
         match own.or_else(|| look_up(database::SHIPPED, &self.guid)) {
             Some((line, is_exact)) if is_exact || !self.keeps_rules => Layout::by_line(&line, &self.codes),
             _ => Layout::by_rule(&self.codes, self.is_xpad),
@@ -109,6 +112,7 @@ fn node(folder: &Path) -> Option<Node> {
     let name = read(&device.join("name"));
     let (bus, vendor, product) = (id("bustype"), id("vendor"), id("product"));
     let guid = database::guid(bus, vendor, product, id("version"), &name);
+    let gilrs_guid = database::guid_of_numbers(bus, vendor, product, id("version"));
     (found.vendor_id, found.product_id) = (Some(vendor), Some(product));
     found.serial_number = Some(read(&device.join("uniq"))).filter(|uniq| !uniq.is_empty());
     if !name.is_empty() {
@@ -118,7 +122,7 @@ fn node(folder: &Path) -> Option<Node> {
     // Whoever makes the same reports has the same trouble with them.
     let driver = driver.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let (is_xpad, keeps_rules) = (driver == "xpad" || vendor == 0x045e, RULED.contains(&driver));
-    Some(Node { found, kind, codes, guid, is_xpad, keeps_rules })
+    Some(Node { found, kind, codes, guid, gilrs_guid, is_xpad, keeps_rules })
 }
 
 /// Every node that is read here, by its number.
@@ -130,17 +134,42 @@ pub(super) fn nodes() -> Vec<Node> {
     nodes
 }
 
+pub(super) const NO_UDEV: &str = "gilrs finds gamepads through udev, which does not run here";
+
+/// gilrs asks udev which nodes are gamepads, or, told so, looks itself.
+pub(super) fn gilrs_finds_pads() -> bool {
+    let is_there = |path: &str| Path::new(path).exists();
+    is_there("/run/udev/control") || is_there("/.flatpak-info") || std::env::var("GILRS_DISABLE_UDEV").is_ok()
+}
+
+/// The names of all input nodes, each with the place of its device in the system, which no later device has.
+pub(super) fn present() -> BTreeMap<String, PathBuf> {
+    let Ok(folders) = std::fs::read_dir(SYSTEM) else { return BTreeMap::new() };
+    let events = folders.flatten().filter_map(|folder| {
+        let name = folder.file_name().into_string().ok().filter(|name| name.starts_with("event"))?;
+        Some((format!("/dev/input/{name}"), std::fs::read_link(folder.path()).ok()?))
+    });
+    events.collect()
+}
+
 /// Gamepads, and inertial units in them.
 pub fn found(config: &Config) -> Vec<Found> {
     let describe = |node: Node| {
         let mut found = node.found.clone();
         found.streams = match node.kind {
-            Kind::Gamepad => {
-                node.layout(config).streams().into_iter().map(|(stream, _)| stream.name).collect()
-            }
+            Kind::Gamepad => node
+                .layout(&config.gamepad_mappings)
+                .streams()
+                .into_iter()
+                .map(|(stream, _)| stream.name)
+                .collect(),
             Kind::Motion => vec!["imu".to_owned()],
         };
         found.check_access("input");
+        if found.problem.is_none() && node.kind == Kind::Gamepad && !gilrs_finds_pads() {
+            found.problem = Some(NO_UDEV.to_owned());
+            found.remedy = Some("export GILRS_DISABLE_UDEV=1".to_owned());
+        }
         found
     };
     nodes().into_iter().map(describe).collect()

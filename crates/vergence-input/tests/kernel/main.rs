@@ -70,6 +70,13 @@ fn devices_of_a_real_kernel() {
 }
 
 fn inside() {
+    // The machine has no udev: gilrs is to look itself, as in a container.
+    if std::env::var_os("GILRS_DISABLE_UDEV").is_none() {
+        let this = std::env::current_exe().expect("a running test has a path");
+        let run = Command::new(this).arg("--nocapture").env("GILRS_DISABLE_UDEV", "1").status();
+        assert!(run.is_ok_and(|status| status.success()), "with gilrs looking itself");
+        return;
+    }
     let mut failed = Vec::new();
     for (name, scene) in SCENES {
         let start = Instant::now();
