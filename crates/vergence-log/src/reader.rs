@@ -12,6 +12,7 @@ use std::sync::Arc;
 
 use vergence_sense::Sample;
 
+use crate::chunk::Decompressor;
 use crate::error::Error;
 use crate::header::Header;
 use crate::message::{ClockKind, Message};
@@ -249,9 +250,11 @@ pub struct Reader {
     chunk_at: u64,
     chunk: Vec<u8>,
     chunk_read: usize,
+    decompressor: Decompressor,
     index_bytes: u64,
     schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
-    streams: BTreeMap<u16, Arc<StreamInfo>>,
+    /// By their numbers.
+    streams: Vec<Option<Arc<StreamInfo>>>,
     library: String,
     header: Option<Header>,
     metadata: Vec<(String, BTreeMap<String, String>)>,
@@ -296,9 +299,10 @@ impl Reader {
             chunk_at: 0,
             chunk: Vec::new(),
             chunk_read: 0,
+            decompressor: Decompressor::default(),
             index_bytes: 0,
             schemas: BTreeMap::new(),
-            streams: BTreeMap::new(),
+            streams: Vec::new(),
             library: String::new(),
             header: None,
             metadata: Vec::new(),
@@ -383,7 +387,11 @@ impl Reader {
 
     /// The streams that have been met so far: all, once the end is reached.
     pub fn streams(&self) -> impl Iterator<Item = &Arc<StreamInfo>> {
-        self.streams.values()
+        self.streams.iter().flatten()
+    }
+
+    fn stream(&self, id: u16) -> Option<&Arc<StreamInfo>> {
+        self.streams.get(usize::from(id))?.as_ref()
     }
 
     /// The schema of a stream: its encoding and its data.
@@ -426,10 +434,11 @@ impl Reader {
     pub fn next(&mut self) -> Result<Option<Entry<'_>>, Error> {
         let found = loop {
             let Some(found) = self.advance()? else { return Ok(None) };
-            if !self.streams.contains_key(&found.channel) {
-                self.read_summary()?;
+            if self.stream(found.channel).is_some() {
+                break found;
             }
-            if self.streams.contains_key(&found.channel) {
+            self.read_summary()?;
+            if self.stream(found.channel).is_some() {
                 break found;
             }
             let count = self.unannounced.entry(found.channel).or_default();
@@ -441,7 +450,7 @@ impl Reader {
             }
         };
         // It was looked for just now.
-        let stream = &self.streams[&found.channel];
+        let Some(stream) = self.stream(found.channel) else { return Ok(None) };
         let buffer = if found.in_chunk { &self.chunk } else { &self.body };
         Ok(Some(Entry {
             stream,
@@ -479,6 +488,11 @@ impl Reader {
     /// Reads on in the chunk; `None` where what was read is no message.
     fn advance_in_chunk(&mut self) -> Result<Option<Found>, Error> {
         let (offset, in_chunk) = (self.chunk_at, self.chunk_read as u64);
+        if let Some(message) = self.chunk.get(self.chunk_read..).and_then(MessageRecord::first) {
+            self.chunk_read += message.length();
+            let place = Place { offset, in_chunk };
+            return Ok(Some(Found::new(&message, place, true, self.chunk_read)));
+        }
         let chunk = std::mem::take(&mut self.chunk);
         let mut inner = Inner::new(&chunk, self.chunk_read, self.room());
         let taken = match inner.next() {

@@ -144,6 +144,40 @@ pub(crate) struct MessageRecord<'a> {
     pub(crate) data: &'a [u8],
 }
 
+/// Bytes of a message in front of its data, with the record's head.
+const MESSAGE_HEAD: usize = HEAD + 22;
+
+impl<'a> MessageRecord<'a> {
+    /// The message that begins `bytes`, whole: what nearly every record of a chunk is. `None` where something else begins there, or
+    /// damage: [`Inner::next`] says what.
+    #[inline]
+    pub(crate) fn first(bytes: &'a [u8]) -> Option<Self> {
+        let (head, rest) = bytes.split_first_chunk::<MESSAGE_HEAD>()?;
+        let number = |from: usize| {
+            let mut eight = [0; 8];
+            eight.copy_from_slice(&head[from..from + 8]);
+            u64::from_le_bytes(eight)
+        };
+        if head[0] != op::MESSAGE {
+            return None;
+        }
+        let length = usize::try_from(number(1)).ok()?;
+        Some(Self {
+            channel: u16::from_le_bytes([head[9], head[10]]),
+            sequence: u32::from_le_bytes([head[11], head[12], head[13], head[14]]),
+            log_time: number(15),
+            publish_time: number(23),
+            data: rest.get(..length.checked_sub(MESSAGE_HEAD - HEAD)?)?,
+        })
+    }
+
+    /// Bytes of the record.
+    #[inline]
+    pub(crate) fn length(&self) -> usize {
+        MESSAGE_HEAD + self.data.len()
+    }
+}
+
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ChunkRecord<'a> {
     pub(crate) uncompressed_size: u64,

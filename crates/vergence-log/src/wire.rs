@@ -323,7 +323,19 @@ impl<'a> Decoder<'a> {
         Self { bytes, at: 0 }
     }
 
+    /// Nearly all tags and lengths are of one byte.
+    #[inline]
     fn varint(&mut self) -> Result<u64, WireError> {
+        match self.bytes.get(self.at) {
+            Some(&byte) if byte < 0x80 => {
+                self.at += 1;
+                Ok(byte.into())
+            }
+            _ => self.long_varint(),
+        }
+    }
+
+    fn long_varint(&mut self) -> Result<u64, WireError> {
         let start = self.at;
         let mut value = 0u64;
         for shift in (0..64).step_by(7) {
@@ -343,15 +355,31 @@ impl<'a> Decoder<'a> {
         Err(WireError::Varint { at: start })
     }
 
+    #[cold]
+    fn short<T>(&self, expected: u64) -> Result<T, WireError> {
+        Err(WireError::Short { at: self.at, expected, found: self.bytes.len() - self.at })
+    }
+
+    #[inline]
     fn take(&mut self, count: u64) -> Result<&'a [u8], WireError> {
-        let left = self.bytes.len() - self.at;
-        match usize::try_from(count).ok().filter(|&count| count <= left) {
-            Some(count) => {
-                let bytes = &self.bytes[self.at..self.at + count];
-                self.at += count;
+        let rest = self.bytes.get(self.at..).unwrap_or_default();
+        match usize::try_from(count).ok().and_then(|count| rest.get(..count)) {
+            Some(bytes) => {
+                self.at += bytes.len();
                 Ok(bytes)
             }
-            None => Err(WireError::Short { at: self.at, expected: count, found: left }),
+            None => self.short(count),
+        }
+    }
+
+    #[inline]
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], WireError> {
+        match self.bytes.get(self.at..).and_then(|rest| rest.first_chunk()) {
+            Some(bytes) => {
+                self.at += N;
+                Ok(*bytes)
+            }
+            None => self.short(N as u64),
         }
     }
 
@@ -359,6 +387,7 @@ impl<'a> Decoder<'a> {
     ///
     /// # Errors
     /// Where the bytes are no message. Fields of unknown numbers are the caller's to pass over.
+    #[inline]
     pub fn field(&mut self) -> Result<Option<(u32, Value<'a>)>, WireError> {
         if self.at == self.bytes.len() {
             return Ok(None);
@@ -369,20 +398,12 @@ impl<'a> Decoder<'a> {
         let Some(number) = number else { return Err(WireError::Tag { at, tag }) };
         let value = match tag & 7 {
             0 => Value::Varint(self.varint()?),
-            1 => {
-                let mut bits = [0; 8];
-                bits.copy_from_slice(self.take(8)?);
-                Value::Fixed64(u64::from_le_bytes(bits))
-            }
+            1 => Value::Fixed64(u64::from_le_bytes(self.array()?)),
             2 => {
                 let length = self.varint()?;
                 Value::Bytes(self.take(length)?)
             }
-            5 => {
-                let mut bits = [0; 4];
-                bits.copy_from_slice(self.take(4)?);
-                Value::Fixed32(u32::from_le_bytes(bits))
-            }
+            5 => Value::Fixed32(u32::from_le_bytes(self.array()?)),
             _ => return Err(WireError::Tag { at, tag }),
         };
         Ok(Some((number, value)))
@@ -392,6 +413,7 @@ impl<'a> Decoder<'a> {
     ///
     /// # Errors
     /// Where the bytes are no message, or `take` refuses one.
+    #[inline]
     pub fn each(
         mut self,
         mut take: impl FnMut(u32, Value<'a>) -> Result<(), WireError>,

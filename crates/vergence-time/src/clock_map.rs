@@ -97,8 +97,12 @@ impl Line {
     }
 
     /// How far a point lies above.
+    fn above_ns(&self, point: Point) -> i64 {
+        point.offset_ns.saturating_sub(self.offset_ns(point.device_ns))
+    }
+
     fn residual_ns(&self, point: Point) -> f64 {
-        point.offset_ns.saturating_sub(self.offset_ns(point.device_ns)) as f64
+        self.above_ns(point) as f64
     }
 }
 
@@ -191,25 +195,28 @@ impl ClockMap {
         self.ticks = self.ticks.saturating_add(self.knobs.counter.ticks_between(last.raw, raw, meanwhile));
         let device_ns = self.knobs.counter.nanos_of(self.ticks);
         let point = Point { device_ns, offset_ns: arrived.as_nanos().saturating_sub(device_ns) };
-        let residual_ns = self.line.residual_ns(point);
+        let mut above_ns = self.line.above_ns(point);
         let back = device_ns.saturating_sub(last.device_ns) < BACK_NS;
-        if back || !(EARLY_NS..=LATE_NS).contains(&residual_ns) {
+        if back || !(EARLY_NS..=LATE_NS).contains(&(above_ns as f64)) {
             self.jumps = self.jumps.saturating_add(1);
             self.begin(point, arrived);
+            above_ns = 0;
         } else {
             let age = arrived.since(self.open_since).map_or(i64::MAX, Span::as_nanos);
             if age >= self.bin_ns || age < BACK_NS {
                 self.close();
                 (self.open, self.open_since) = (point, arrived);
-            } else if (Line { through: self.open, ..self.line }).residual_ns(point) < 0.0 {
+                above_ns = self.line.above_ns(point);
+            } else if (Line { through: self.open, ..self.line }).above_ns(point) < 0 {
                 self.open = point;
             }
-            if self.line.residual_ns(point) < 0.0 {
+            if above_ns < 0 {
                 self.line.through = point;
+                above_ns = 0;
             }
         }
-        self.excess_ns = self.line.residual_ns(point).max(0.0);
-        let earliest = device_ns.saturating_add(self.line.offset_ns(device_ns));
+        self.excess_ns = above_ns as f64;
+        let earliest = arrived.as_nanos().saturating_sub(above_ns);
         self.answer(raw, device_ns, arrived, Timestamp::from_nanos(earliest).min(arrived))
     }
 

@@ -50,8 +50,11 @@ impl Counter {
         // Nearly always the shortest way round is right, and cheap; 128 bits are for the rest.
         let free = 64 - self.bits;
         let short = (after.wrapping_sub(before) << free) as i64 >> free;
-        let expected = meanwhile.as_nanos() as f64 * (self.ticks as f64 / self.nanos as f64);
-        if (short as f64 - expected).abs() < 0.49 * 2f64.powi(self.bits as i32) {
+        // Compared in nanoseconds times ticks, by products only: this is done for each reading.
+        let (nanos, ticks) = (self.nanos as f64, self.ticks as f64);
+        let half = (1u64 << (self.bits - 1)) as f64;
+        let off = (short as f64 * nanos - meanwhile.as_nanos() as f64 * ticks).abs();
+        if off < 0.98 * half * nanos {
             return i128::from(short);
         }
         let least = i128::from(after) - i128::from(before);
@@ -64,6 +67,10 @@ impl Counter {
 
     /// How long so many ticks last nominally, rounded down, held at the ends of the representable range.
     pub(crate) fn nanos_of(self, ticks: i128) -> i64 {
+        let short = i64::try_from(ticks).ok().zip(i64::try_from(self.nanos).ok());
+        if let (1, Some(all)) = (self.ticks, short.and_then(|(ticks, nanos)| ticks.checked_mul(nanos))) {
+            return all;
+        }
         let all = ticks.saturating_mul(i128::from(self.nanos));
         // A division in 128 bits takes longer than everything else.
         let nanos = if self.ticks == 1 { all } else { all.div_euclid(i128::from(self.ticks)) };

@@ -43,21 +43,27 @@ impl Format {
         }
     }
 
-    /// From exactly [`Format::bytes`] bytes.
-    fn read(self, bytes: &[u8]) -> f64 {
-        let mut wide = [0; 8];
-        let count = bytes.len().min(8);
-        wide[..count].copy_from_slice(&bytes[..count]);
-        let [a, b, c, d, ..] = wide;
+    /// As many numbers as there are places for, each times its scale. The format is looked at once, and not for each number.
+    fn read(self, bytes: &[u8], scale: &[f64; MOST_VALUES], values: &mut [f64]) {
+        fn each<const N: usize>(
+            bytes: &[u8],
+            scale: &[f64; MOST_VALUES],
+            values: &mut [f64],
+            number: impl Fn([u8; N]) -> f64,
+        ) {
+            for ((value, bytes), scale) in values.iter_mut().zip(bytes.as_chunks().0).zip(scale) {
+                *value = number(*bytes) * scale;
+            }
+        }
         match self {
-            Self::U8 => f64::from(a),
-            Self::I8 => f64::from(a as i8),
-            Self::U16 => f64::from(u16::from_le_bytes([a, b])),
-            Self::I16 => f64::from(i16::from_le_bytes([a, b])),
-            Self::U32 => f64::from(u32::from_le_bytes([a, b, c, d])),
-            Self::I32 => f64::from(i32::from_le_bytes([a, b, c, d])),
-            Self::F32 => f64::from(f32::from_le_bytes([a, b, c, d])),
-            Self::F64 => f64::from_le_bytes(wide),
+            Self::U8 => each(bytes, scale, values, |[byte]| f64::from(byte)),
+            Self::I8 => each(bytes, scale, values, |[byte]| f64::from(byte.cast_signed())),
+            Self::U16 => each(bytes, scale, values, |bytes| f64::from(u16::from_le_bytes(bytes))),
+            Self::I16 => each(bytes, scale, values, |bytes| f64::from(i16::from_le_bytes(bytes))),
+            Self::U32 => each(bytes, scale, values, |bytes| f64::from(u32::from_le_bytes(bytes))),
+            Self::I32 => each(bytes, scale, values, |bytes| f64::from(i32::from_le_bytes(bytes))),
+            Self::F32 => each(bytes, scale, values, |bytes| f64::from(f32::from_le_bytes(bytes))),
+            Self::F64 => each(bytes, scale, values, f64::from_le_bytes),
         }
     }
 }
@@ -163,9 +169,7 @@ impl Description {
             count = 9;
         }
         let mut values = [0.0; MOST_VALUES];
-        for ((value, bytes), scale) in values.iter_mut().zip(payload.chunks_exact(bytes)).zip(self.scale) {
-            *value = self.format.read(bytes) * scale;
-        }
+        self.format.read(payload, &self.scale, &mut values[..count]);
         reading(self.kind, &values[..count])
     }
 }

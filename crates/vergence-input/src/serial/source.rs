@@ -359,10 +359,10 @@ impl SerialSource {
         true
     }
 
-    /// Takes bytes that have arrived; whether anything was given.
-    fn take(&mut self, bytes: &[u8], arrived: Timestamp, sink: &mut dyn Sink) -> bool {
+    /// Takes bytes that have arrived; whether anything was given. Frames are in the decoder already.
+    fn take(&mut self, bytes: &[u8], count: usize, arrived: Timestamp, sink: &mut dyn Sink) -> bool {
         let before = self.foreign;
-        self.foreign += bytes.len() as u64;
+        self.foreign += count as u64;
         let mut gave = false;
         if self.config.format != Format::Lines {
             self.frames.push(bytes);
@@ -430,11 +430,22 @@ impl Source for SerialSource {
                 continue;
             };
             let longest = Duration::from_nanos(left.unsigned_abs()).min(LONGEST_WAIT);
-            match port.read(&mut buffer, longest) {
+            // Where only frames come, they are read to where they are looked for.
+            let is_framed = self.config.format == Format::Frames;
+            let room = if is_framed { self.frames.room() } else { &mut buffer[..] };
+            let most = room.len().min(CHUNK);
+            match port.read(&mut room[..most], longest) {
                 Ok(0) => {}
                 Ok(count) => {
                     let arrived = self.clock.now();
-                    if self.take(&buffer[..count.min(CHUNK)], arrived, sink) {
+                    let count = count.min(most);
+                    let bytes = if is_framed {
+                        self.frames.arrived(count);
+                        &[]
+                    } else {
+                        &buffer[..count]
+                    };
+                    if self.take(bytes, count, arrived, sink) {
                         break Progress::Gave;
                     }
                 }

@@ -6,7 +6,6 @@ use std::sync::Arc;
 
 use super::behind::Behind;
 use super::{Attachment, Ending, Found, Head, Place, Reader, StreamInfo};
-use crate::chunk::decompress;
 use crate::error::Error;
 use crate::header::{FORMAT_VERSION, Header, SESSION};
 use crate::records::{Fields, MAGIC, Malformed, Record, note_bytes, op};
@@ -43,7 +42,8 @@ impl Reader {
             Record::Chunk(chunk) => {
                 self.chunk_at = offset;
                 self.chunk_read = 0;
-                decompress(&chunk, self.limits.record_bytes, &mut self.chunk)
+                self.decompressor
+                    .decompress(&chunk, self.limits.record_bytes, &mut self.chunk)
                     .inspect_err(|_| self.chunk.clear())
             }
             Record::Schema { id, name, encoding, data } => self.add_schema(id, name, encoding, data),
@@ -120,7 +120,7 @@ impl Reader {
             }
         };
         let info = StreamInfo { id, name: topic.to_owned(), schema, encoding: encoding.to_owned(), metadata };
-        if let Some(known) = self.streams.get(&id) {
+        if let Some(known) = self.stream(id) {
             let found = || format!("two, '{}' and '{topic}'", known.name);
             return if **known == info {
                 Ok(())
@@ -129,7 +129,11 @@ impl Reader {
             };
         }
         self.charge((topic.len() + encoding.len() + info.schema.len()) as u64 + notes_bytes(&info.metadata))?;
-        self.streams.insert(id, Arc::new(info));
+        let place = usize::from(id);
+        if self.streams.len() <= place {
+            self.streams.resize(place + 1, None);
+        }
+        self.streams[place] = Some(Arc::new(info));
         Ok(())
     }
 
