@@ -245,6 +245,24 @@ fn reflected(seen: Seen, to_light: vec3f, nl: f32) -> vec3f {
 }
 //#endif
 
+//#if BOUNDED_FOOTPRINT
+// Mesa's software device walks over every texel that an anisotropic footprint covers, counting in f32. Beside an edge, where the
+// neighbouring pixel lies behind the horizon of the triangle's plane, coordinates and their steps have any size: it would walk for
+// hours, or, where adding 1 changes nothing, for ever. What is no number is 0.
+const FARTHEST: f32 = 512.0;
+
+// From one pixel to the next at most once through the texture: that is its mean already.
+fn bounded(change: vec2f) -> vec2f {
+    return select(vec2f(0.0), clamp(change, vec2f(-1.0), vec2f(1.0)), abs(change) <= vec2f(3e38));
+}
+
+// A coordinate that is far off, taken back by a multiple of 2: the same place, also of a texture that is mirrored.
+fn near(uv: vec2f) -> vec2f {
+    let wrapped = select(uv, uv - 2.0 * floor(0.5 * uv), abs(uv) > vec2f(FARTHEST));
+    return select(vec2f(0.0), wrapped, abs(uv) <= vec2f(3e38));
+}
+//#endif
+
 @fragment
 fn fragment(
     in: Varying,
@@ -281,23 +299,49 @@ fn fragment(
     let everywhere_light = frame.ambient.rgb;
 //#endif
 //#if BASE_COLOR_TEXTURE
+//#if ANY_FOOTPRINT
     base *= textureSample(base_color_texture, base_color_sampler, uv_base_color);
+//#endif
+//#if BOUNDED_FOOTPRINT
+    base *= textureSampleGrad(base_color_texture, base_color_sampler, near(uv_base_color), bounded(dpdx(uv_base_color)), bounded(dpdy(uv_base_color)));
+//#endif
 //#endif
 //#if VERTEX_COLORS
     base *= in.color;
 //#endif
 //#if METALLIC_ROUGHNESS_TEXTURE
+//#if ANY_FOOTPRINT
     let metallic_roughness =
         textureSample(metallic_roughness_texture, metallic_roughness_sampler, uv_metallic_roughness).bg;
 //#endif
+//#if BOUNDED_FOOTPRINT
+    let metallic_roughness =
+        textureSampleGrad(metallic_roughness_texture, metallic_roughness_sampler, near(uv_metallic_roughness), bounded(dpdx(uv_metallic_roughness)), bounded(dpdy(uv_metallic_roughness))).bg;
+//#endif
+//#endif
 //#if NORMAL_TEXTURE
+//#if ANY_FOOTPRINT
     var bump = textureSample(normal_texture, normal_sampler, uv_normal).xyz * 2.0 - 1.0;
 //#endif
+//#if BOUNDED_FOOTPRINT
+    var bump = textureSampleGrad(normal_texture, normal_sampler, near(uv_normal), bounded(dpdx(uv_normal)), bounded(dpdy(uv_normal))).xyz * 2.0 - 1.0;
+//#endif
+//#endif
 //#if OCCLUSION_TEXTURE
+//#if ANY_FOOTPRINT
     let open = textureSample(occlusion_texture, occlusion_sampler, uv_occlusion).r;
 //#endif
+//#if BOUNDED_FOOTPRINT
+    let open = textureSampleGrad(occlusion_texture, occlusion_sampler, near(uv_occlusion), bounded(dpdx(uv_occlusion)), bounded(dpdy(uv_occlusion))).r;
+//#endif
+//#endif
 //#if EMISSIVE_TEXTURE
+//#if ANY_FOOTPRINT
     let glow = textureSample(emissive_texture, emissive_sampler, uv_emissive).rgb;
+//#endif
+//#if BOUNDED_FOOTPRINT
+    let glow = textureSampleGrad(emissive_texture, emissive_sampler, near(uv_emissive), bounded(dpdx(uv_emissive)), bounded(dpdy(uv_emissive))).rgb;
+//#endif
 //#endif
 //#if MASK
     if (base.a < law.w) {

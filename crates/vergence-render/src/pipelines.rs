@@ -21,6 +21,8 @@ pub(crate) const DEPTH_COMPARE: vk::CompareOp = vk::CompareOp::GREATER;
 pub(crate) struct KindPipelines {
     kind: Kind,
     layout: Arc<PipelineLayout>,
+    /// Whether its textures are filtered so.
+    anisotropic: bool,
     /// Upright and mirrored; each made when it is first needed.
     made: [Option<Arc<GraphicsPipeline>>; 2],
 }
@@ -31,9 +33,10 @@ impl KindPipelines {
         kind: Kind,
         frame_sets: &Arc<SetLayout>,
         textures: &Arc<SetLayout>,
+        anisotropic: bool,
     ) -> Result<Self, Error> {
         let layout = PipelineLayout::new(device, &[frame_sets, textures], vk::ShaderStageFlags::empty(), 0)?;
-        Ok(Self { kind, layout, made: [None, None] })
+        Ok(Self { kind, layout, anisotropic, made: [None, None] })
     }
 
     /// The pipeline, made where it is missing.
@@ -47,24 +50,33 @@ impl KindPipelines {
     ) -> Result<&Arc<GraphicsPipeline>, Error> {
         let place = &mut self.made[usize::from(mirrored)];
         if place.is_none() {
-            *place = Some(make(device, self.kind, &self.layout, target, samples, lights, mirrored)?);
+            let drawn = Drawn { kind: self.kind, samples, lights, mirrored, anisotropic: self.anisotropic };
+            *place = Some(make(device, &drawn, &self.layout, target)?);
         }
         Ok(place.as_ref().expect("filled above"))
     }
 }
 
-fn make(
-    device: &Arc<Device>,
+/// What a pipeline draws, and how.
+struct Drawn {
     kind: Kind,
-    layout: &Arc<PipelineLayout>,
-    target: &Target,
     samples: u32,
     lights: vergence_shaders::Lights,
     mirrored: bool,
+    anisotropic: bool,
+}
+
+fn make(
+    device: &Arc<Device>,
+    drawn: &Drawn,
+    layout: &Arc<PipelineLayout>,
+    target: &Target,
 ) -> Result<Arc<GraphicsPipeline>, Error> {
-    let Kind { surface, variant } = kind;
+    let &Drawn { kind: Kind { surface, variant }, samples, lights, mirrored, anisotropic } = drawn;
     let handed_on = variant.lit() && device.limits().software && target.views_per_pass(device) == 1;
-    let variant = vergence_shaders::Variant { handed_on, ..variant };
+    let bounded_footprint =
+        anisotropic && variant.uses_uv() && device.limits().software && (handed_on || !variant.lit());
+    let variant = vergence_shaders::Variant { handed_on, bounded_footprint, ..variant };
     let missing = || Error::range("surface", "a variant that makes sense", format!("{variant:?}"));
     let vertex =
         vergence_shaders::surface_vertex(&variant, target.views_per_pass(device)).ok_or_else(missing)?;

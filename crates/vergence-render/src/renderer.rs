@@ -151,10 +151,17 @@ impl Renderer {
 
     /// The pipelines that the scene at rest needs.
     fn make_pipelines(&mut self) -> Result<(), Error> {
+        let anisotropic = self.quality.anisotropy_on(self.device.limits()) > 1.0;
         for (index, kind) in self.meshes.kinds.iter().enumerate() {
             let mut user = self.meshes.drawables.iter().filter(|drawable| drawable.kind == index);
             let Some(textures) = user.next().map(|d| &self.textures[d.texture_set].layout) else { continue };
-            self.kinds.push(KindPipelines::new(&self.device, *kind, &self.frame_sets, textures)?);
+            self.kinds.push(KindPipelines::new(
+                &self.device,
+                *kind,
+                &self.frame_sets,
+                textures,
+                anisotropic,
+            )?);
         }
         let lights = self.light_counts;
         for drawable in &self.meshes.drawables {

@@ -60,6 +60,7 @@ pub(crate) fn variant(surface: &Surface, textures: &[Option<TextureRef>; TEXTURE
         vertex_colors: surface.vertex_colors,
         many_uvs: the_only_uv(textures).is_none() && textures.iter().flatten().count() > 1,
         handed_on: false,
+        bounded_footprint: false,
     }
 }
 

@@ -116,6 +116,29 @@ fn colours_are_filtered_as_light() {
     no_messages(&device);
 }
 
+/// A million times through the texture from edge to edge, one way or both: a pixel covers 4,000 repetitions, and shows the mean.
+/// A software device would visit every texel of them, which takes hours.
+#[test]
+fn a_texture_that_is_far_too_fine_is_its_mean() {
+    let Some(device) = device() else { return };
+    let mipped = Sampler { mag_linear: true, min_linear: true, mip: Some(Mip::Linear), ..NEAREST };
+    let checks: Vec<[u8; 4]> = (0..64 * 64).map(|i| if (i + i / 64) % 2 == 0 { K } else { W }).collect();
+    let anisotropic = Quality { anisotropy: Some(device.limits().max_anisotropy.min(16.0)), ..PLAIN };
+    for (across, down) in [(1e6, 1e6), (1e6, 1.0), (1.0, 1e6), (1e30, 1e30)] {
+        let fine = [[across, 0.0, 0.0], [0.0, down, 0.0]];
+        let unlit = textured(&checks, 64, mipped, fine);
+        let mut lit = unlit.clone();
+        lit.materials[0].shading = Material::default().shading;
+        let shown = &draw(&device, unlit, &anisotropic, SIZE, &[full()])[0];
+        for (u, v) in [(0.1, 0.1), (0.5, 0.5), (0.9, 0.3)] {
+            assert!(near(at(shown, u, v), [188; 3]), "{across} {down}: {:?}", at(shown, u, v));
+        }
+        // What is lit takes another way through the shader.
+        draw(&device, lit, &anisotropic, SIZE, &[full()]);
+    }
+    no_messages(&device);
+}
+
 #[test]
 fn each_texture_has_its_own_coordinates() {
     let Some(device) = device() else { return };

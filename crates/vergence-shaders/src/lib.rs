@@ -115,6 +115,7 @@ mod tests {
     use super::*;
 
     const IMAGE_SAMPLE_IMPLICIT_LOD: u32 = 87;
+    const IMAGE_SAMPLE_EXPLICIT_LOD: u32 = 88;
     const KILL: u32 = 252;
 
     fn count(words: &[u32], opcode: u32) -> usize {
@@ -131,7 +132,13 @@ mod tests {
     fn a_variant_holds_what_it_needs_and_nothing_else() {
         for variant in Variant::all_fragment() {
             let fragment = surface_fragment(&variant, 2, Lights { infinite: 1, placed: 2 }).unwrap();
-            assert_eq!(count(fragment.words(), IMAGE_SAMPLE_IMPLICIT_LOD), variant.textures(), "{variant:?}");
+            let (fetch, other) = if variant.bounded_footprint {
+                (IMAGE_SAMPLE_EXPLICIT_LOD, IMAGE_SAMPLE_IMPLICIT_LOD)
+            } else {
+                (IMAGE_SAMPLE_IMPLICIT_LOD, IMAGE_SAMPLE_EXPLICIT_LOD)
+            };
+            assert_eq!(count(fragment.words(), fetch), variant.textures(), "{variant:?}");
+            assert_eq!(count(fragment.words(), other), 0, "{variant:?}");
             assert_eq!(count(fragment.words(), KILL) > 0, variant.coverage == Coverage::Mask, "{variant:?}");
             assert!(surface_vertex(&variant, 2).is_some(), "{variant:?}");
         }

@@ -46,6 +46,9 @@ pub struct Variant {
     /// Reads what is the same for a whole draw in the vertex stage and hands it on (lit only; for passes of one view):
     /// for software devices, which read uniform values lane by lane. Elsewhere it is more to hand on, for nothing.
     pub handed_on: bool,
+    /// Bounds how far texture coordinates go from pixel to pixel: for software devices with anisotropic filtering, whose
+    /// work grows with that.
+    pub bounded_footprint: bool,
 }
 
 impl Variant {
@@ -83,9 +86,10 @@ impl Variant {
             self.vertex_colors,
             self.many_uvs,
             self.handed_on,
+            self.bounded_footprint,
         ];
         let flags = bits.iter().enumerate().fold(0, |key, (bit, &set)| key | (u32::from(set) << bit));
-        flags | (self.law as u32) << 8 | (self.coverage as u32) << 10
+        flags | (self.law as u32) << 9 | (self.coverage as u32) << 11
     }
 
     /// The variant without what only the fragment stage does.
@@ -98,6 +102,7 @@ impl Variant {
             metallic_roughness_texture: false,
             occlusion_texture: false,
             emissive_texture: false,
+            bounded_footprint: false,
             ..*self
         }
     }
@@ -130,6 +135,8 @@ impl Variant {
         add(self.many_uvs, "MANY_UVS");
         add(self.handed_on, "HANDED_ON");
         add(!self.handed_on, "LOOKED_UP");
+        add(self.bounded_footprint, "BOUNDED_FOOTPRINT");
+        add(!self.bounded_footprint, "ANY_FOOTPRINT");
         flags
     }
 
@@ -138,7 +145,7 @@ impl Variant {
         let mut all = Vec::new();
         for law in [Law::Unlit, Law::MetallicRoughness, Law::BlinnPhong] {
             for coverage in [Coverage::Opaque, Coverage::Mask, Coverage::Blend] {
-                for bits in 0..256u32 {
+                for bits in 0..512u32 {
                     let bit = |index: u32| bits >> index & 1 == 1;
                     let variant = Self {
                         law,
@@ -151,6 +158,7 @@ impl Variant {
                         vertex_colors: bit(5),
                         many_uvs: bit(6),
                         handed_on: bit(7),
+                        bounded_footprint: bit(8),
                     };
                     if variant.makes_sense() {
                         all.push(variant);
@@ -176,5 +184,6 @@ impl Variant {
         (self.lit() || !only_lit)
             && (self.law == Law::MetallicRoughness || !self.metallic_roughness_texture)
             && (!self.many_uvs || self.textures() > 1)
+            && (!self.bounded_footprint || (self.uses_uv() && self.handed_on == self.lit()))
     }
 }
