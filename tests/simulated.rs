@@ -286,25 +286,31 @@ fn who_has_read_enough_is_not_told_of_a_panic() {
     assert!(ended.stderr.is_empty(), "{}", told(&ended));
 }
 
+/// The manifest of our runtime, for the system's loader; `None`, and the test says that it is skipped, without a loader.
+fn runtime() -> Option<String> {
+    let loader = Command::new("hello_xr").stdin(std::process::Stdio::null()).output();
+    if loader.is_err() {
+        vergence_tests::skip("openxr", "hello_xr, package libopenxr-utils, is missing");
+        return None;
+    }
+    let built =
+        Command::new(vergence_tests::checkout().join("tools/xr-runtime")).output().expect("bash is there");
+    assert!(built.status.success(), "{}", told(&built));
+    Some(String::from_utf8(built.stdout).expect("a path").trim().to_owned())
+}
+
 /// What `tools/run` asks for, where a real runtime is found: ours, opened by the system's loader.
 #[test]
 fn a_real_headset_does_without_the_motion_of_the_simulated_one() {
     if !vulkan() {
         return;
     }
-    let loader = Command::new("hello_xr").stdin(std::process::Stdio::null()).output();
-    if loader.is_err() {
-        return vergence_tests::skip("openxr", "hello_xr, package libopenxr-utils, is missing");
-    }
-    let built =
-        Command::new(vergence_tests::checkout().join("tools/xr-runtime")).output().expect("bash is there");
-    assert!(built.status.success(), "{}", told(&built));
-    let manifest = String::from_utf8(built.stdout).expect("a path");
+    let Some(manifest) = runtime() else { return };
     let run = |headset: &str| {
         Command::new(vergence_tests::vergence())
             .args(["run".as_ref(), sample().as_os_str()])
             .args(["--headset", headset, "--motion", "look-around.toml", "--frames", "3"])
-            .env("XR_RUNTIME_JSON", manifest.trim())
+            .env("XR_RUNTIME_JSON", &manifest)
             .env("VERGENCE_XR_CLOCK", "virtual")
             .output()
             .expect("the vergence binary starts")
@@ -320,6 +326,47 @@ fn a_real_headset_does_without_the_motion_of_the_simulated_one() {
     );
     let asked = run("openxr");
     assert_eq!(asked.status.code(), Some(2), "{}", told(&asked));
+}
+
+/// Our odometry moves the simulated headset; beside a real one it is kept and compared. Here the real one is ours, opened by
+/// the system's loader and moved by the same odometry, so that the two differ by what is predicted from frame to frame.
+#[test]
+fn odometry_moves_the_simulated_headset_and_is_compared_with_a_real_one() {
+    let Some(data) = vergence_tests::data() else { return };
+    if !vulkan() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let motion = format!("slam:{}", data.join("slam/half_real_v101_14s").display());
+    let run = |headset: &str, log: &str, manifest: &str| {
+        let output = Command::new(vergence_tests::vergence())
+            .args(["run".as_ref(), data.join("scenes/gltf/Box.glb").as_os_str()])
+            .args(["--headset", headset, "--motion", &motion, "--frames", "40", "--json", "--record"])
+            .arg(folder.path().join(log))
+            .env("XR_RUNTIME_JSON", manifest)
+            .env("VERGENCE_XR_MOTION", &motion)
+            .output()
+            .expect("the vergence binary starts");
+        assert!(output.status.success(), "{}", told(&output));
+        vergence_tests::last_object(&String::from_utf8_lossy(&output.stdout)).expect("one object")
+    };
+    let simulated = run("simulated", "simulated.mcap", "");
+    assert_eq!((simulated["frames"].as_u64(), &simulated["odometry"]), (Some(40), &serde_json::Value::Null));
+
+    let Some(manifest) = runtime() else { return };
+    let real = run("openxr", "real.mcap", &manifest);
+    let beside = &real["odometry"];
+    assert_eq!(beside["mode"], "stereo-inertial", "{real}");
+    let most = |name: &str, most: f64| beside[name].as_f64().is_some_and(|found| found < most);
+    assert!(most("position_rms_m", 0.05) && most("rotation_rms_deg", 3.0), "{real}");
+    let info = vergence(arguments!["log", "info", &folder.path().join("real.mcap"), "--json"]);
+    let info = vergence_tests::last_object(&String::from_utf8_lossy(&info.stdout)).expect("one object");
+    let streams = info["streams"].as_array().expect("streams");
+    let kept = streams.iter().find(|stream| stream["name"] == "/odometry/head").expect("it is kept");
+    assert!(
+        beside["compared"].as_u64() > Some(0) && kept["count"].as_u64() >= beside["compared"].as_u64(),
+        "{real}"
+    );
 }
 
 /// Outputs that name an input are refused by every verb that would write over it.

@@ -24,6 +24,9 @@ pub enum Error {
     /// A session log cannot be read.
     #[error(transparent)]
     Log(#[from] vergence_log::Error),
+    /// A recording cannot be followed.
+    #[error(transparent)]
+    Odometry(#[from] vergence_slam::Error),
     /// What is needed could not be read.
     #[error("{path}: cannot be read: {source}")]
     Read {

@@ -484,6 +484,9 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
         run.tally.pause();
         session.first_display = None;
         session.followed = None;
+        if let Some(beside) = &mut run.beside {
+            beside.rebase();
+        }
     }
     if leaving || !frame.should_render {
         if !leaving && session.client.state() == (State::Running { visible: true, focused: true }) {
@@ -503,6 +506,11 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
     session.client.sync_input(display)?;
     let head = session.client.locate_head(display)?.reference_from_device();
     let world_from_local = follow_user(run, session, &frame, head.as_ref())?;
+    if let Some(ours) = run.beside.as_mut().and_then(|beside| beside.at(display, head.as_ref()))
+        && let Some(recording) = book::of(&mut session.client).and_then(|book| book.recording.as_mut())
+    {
+        recording.beside(display, &ours);
+    }
 
     let Some(images) = session.client.acquire()? else {
         session.client.end(&frame, None)?;

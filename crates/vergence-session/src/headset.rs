@@ -6,13 +6,14 @@ use std::time::{Duration, Instant};
 use vergence_plan::Plan;
 use vergence_time::Timestamp;
 use vergence_xr::{Connection, EmbeddedRuntime, State, Way};
-use vergence_xr_sim::{ClockMode, Config, PoseProvider, Profile, Runtime, motion};
+use vergence_xr_sim::{ClockMode, Config, PoseProvider, Profile, Runtime};
 
 use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
 use crate::desk::ByHand;
 use crate::error::Error;
-use crate::replay::SessionLog;
+use crate::motion::open_motion;
+use crate::odometry;
 use crate::run::Again;
 
 const APP_NAME: &str = "vergence";
@@ -46,7 +47,7 @@ pub(crate) fn choose(
     say: &mut dyn FnMut(&str),
 ) -> Result<Chosen, Error> {
     match config.headset {
-        HeadsetChoice::Simulated => simulated(config, plan, handed, "asked for".into()),
+        HeadsetChoice::Simulated => simulated(config, plan, handed, "asked for".into(), say),
         HeadsetChoice::OpenXr => {
             let connection = wait_for_real(config, plan, say)?;
             real(config, connection, "asked for".into())
@@ -55,7 +56,9 @@ pub(crate) fn choose(
             Ok(connection) => {
                 let unmoved = RunConfig { motion: None, ..config.clone() };
                 let chosen = real(&unmoved, connection, "a runtime with a headset was found".into())?;
-                if let Some(motion) = &config.motion {
+                if let Some(motion) =
+                    config.motion.as_deref().filter(|motion| odometry::folder(motion).is_none())
+                {
                     say(&format!(
                         "--motion {motion} is for the simulated headset and is not used: the user moves the head"
                     ));
@@ -64,7 +67,7 @@ pub(crate) fn choose(
             }
             Err(error) => {
                 log::info!("{error}");
-                simulated(config, plan, handed, error.brief())
+                simulated(config, plan, handed, error.brief(), say)
             }
         },
     }
@@ -92,10 +95,15 @@ fn wait_for_real(config: &RunConfig, plan: &Plan, say: &mut dyn FnMut(&str)) -> 
     }
 }
 
+/// Whether the named motion is for a simulated headset only: our odometry is also of use beside a real one.
+pub(crate) fn moves_a_head(config: &RunConfig) -> bool {
+    config.motion.as_deref().is_some_and(|motion| odometry::folder(motion).is_none())
+}
+
 fn real(config: &RunConfig, connection: Connection, why: String) -> Result<Chosen, Error> {
     let refused = [
         ("--ipd", config.ipd_m.is_some(), "the eye poses are the user's own"),
-        ("--motion", config.motion.is_some(), "the user moves the head"),
+        ("--motion", moves_a_head(config), "the user moves the head"),
         ("--fault", !config.faults.is_empty(), "it has its own"),
         ("--profile", config.profile.is_some(), "the headset is what it is"),
     ];
@@ -112,7 +120,13 @@ fn real(config: &RunConfig, connection: Connection, why: String) -> Result<Chose
     Ok(Chosen { connection: Arc::new(connection), is_simulated: false, profile, why })
 }
 
-fn simulated(config: &RunConfig, plan: &Plan, handed: Handed<'_>, why: String) -> Result<Chosen, Error> {
+fn simulated(
+    config: &RunConfig,
+    plan: &Plan,
+    handed: Handed<'_>,
+    why: String,
+    say: &mut dyn FnMut(&str),
+) -> Result<Chosen, Error> {
     let Handed { capture, by_hand, again, motion, begins } = handed;
     let mut profile = match (again, &config.profile) {
         (Some(again), _) => again.profile.clone(),
@@ -130,10 +144,7 @@ fn simulated(config: &RunConfig, plan: &Plan, handed: Handed<'_>, why: String) -
         None => Arc::clone(motion.insert(match (again, config.motion.as_deref(), by_hand) {
             (Some(again), ..) => Arc::new(again.replay.clone()),
             (None, None, Some(by_hand)) => Arc::new(by_hand),
-            (None, Some(log), _) if log.ends_with(".mcap") => {
-                Arc::new(SessionLog::open(log.as_ref())?.motion()?)
-            }
-            (None, name, _) => Arc::from(motion::open(name.unwrap_or("still"))?),
+            (None, name, _) => open_motion(name.unwrap_or("still"), &|| config.stop.is_stopped(), say)?,
         })),
     };
     let first = Config::default();

@@ -3,8 +3,8 @@
 use vergence_action::{ActionSet, Kind};
 use vergence_log::{Header, Options, Recorder, Stream, StreamDesc, Times};
 use vergence_sense::{
-    Axis, Body, Button, CallResult, ControlState, Event, FrameHash, FrameTiming, Hand, Haptic, RawJoints,
-    RawLocation, RawViews, Said, Scalar, Vector2,
+    Axis, Body, Button, CallResult, ControlState, Event, FrameHash, FrameTiming, Hand, Haptic, Pose,
+    RawJoints, RawLocation, RawViews, Said, Scalar, Vector2,
 };
 use vergence_time::{Span, Timestamp};
 use vergence_xr::Client;
@@ -30,6 +30,7 @@ pub(crate) mod name {
     pub(crate) const HEAD: &str = "/head";
     pub(crate) const FLOOR: &str = "/floor";
     pub(crate) const GAZE: &str = "/gaze";
+    pub(crate) const ODOMETRY: &str = "/odometry/head";
     pub(crate) const JOINTS: [&str; 2] = ["/hand/left/joints", "/hand/right/joints"];
     /// `/action/NAME/HAND`
     pub(crate) const ACTION: &str = "/action/";
@@ -64,6 +65,8 @@ pub(crate) struct Recording {
     floor: Stream<RawLocation>,
     gaze: Option<Stream<RawLocation>>,
     joints: Option<[Stream<RawJoints>; 2]>,
+    /// Where our own tracking has the head, beside a real headset.
+    odometry: Option<Stream<Pose>>,
     /// By the action's place; left, right.
     actions: Vec<[ActionStream; 2]>,
     diagnostics: [Stream<Scalar>; 3],
@@ -74,6 +77,7 @@ struct Contents<'a> {
     actions: &'a ActionSet,
     hand_joints: bool,
     eye_gaze: bool,
+    odometry: bool,
     /// What pictures that are hashed are like.
     hashes: Option<String>,
     /// The session's clock stands still between frames.
@@ -124,6 +128,7 @@ impl Recording {
             actions: &run.plan.actions,
             hand_joints,
             eye_gaze,
+            odometry: run.beside.is_some(),
             hashes: hashes.then(|| hashed(&client.pictures())),
             is_virtual,
         };
@@ -147,6 +152,7 @@ impl Recording {
         let mut recorder = Recorder::create(&config.path, header, &options)?;
         let local = |name: &str| StreamDesc::new(name).frame(LOCAL);
         let host = |name: &str| StreamDesc::new(name).unit("ms").host_time();
+        let odometry = StreamDesc::new(name::ODOMETRY).frame("odometry");
         let mut actions = Vec::with_capacity(contents.actions.actions.len());
         for action in &contents.actions.actions {
             let mut of = |hand: Hand| -> Result<ActionStream, vergence_log::Error> {
@@ -184,6 +190,7 @@ impl Recording {
             floor: recorder.stream(&local(name::FLOOR))?,
             gaze: contents.eye_gaze.then(|| recorder.stream(&local(name::GAZE))).transpose()?,
             joints,
+            odometry: contents.odometry.then(|| recorder.stream(&odometry)).transpose()?,
             actions,
             diagnostics: [
                 recorder.stream(&host("/diagnostics/frame_cpu"))?,
@@ -287,6 +294,13 @@ impl Recording {
                     recorder.write(&self.timings, Times::new(*display, now), &timing);
                 }
             }
+        }
+    }
+
+    /// Keeps where our own tracking has the head at a display time.
+    pub(crate) fn beside(&mut self, display: Timestamp, pose: &Pose) {
+        if let Some(stream) = &self.odometry {
+            self.recorder.write(stream, Times::new(display, self.now.read()), pose);
         }
     }
 

@@ -71,6 +71,21 @@ impl RecordReport {
     }
 }
 
+/// Our odometry beside a real headset: how far the two are apart, after they were aligned at the first pose of both.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct OdometryReport {
+    /// The recording that was followed.
+    pub dataset: String,
+    /// The sensors that took part.
+    pub mode: String,
+    /// Frames for which both knew the head's pose.
+    pub compared: u64,
+    /// Root of the mean squared distance, metres.
+    pub position_rms_m: f64,
+    /// Root of the mean squared angle, degrees.
+    pub rotation_rms_deg: f64,
+}
+
 /// What a run was like. Its JSON is an interface.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct RunReport {
@@ -134,6 +149,8 @@ pub struct RunReport {
     pub notices_left_out: u64,
     /// What was asked for and is not there, one sentence each.
     pub warnings: Vec<String>,
+    /// Our own tracking beside a real headset, where it was asked for.
+    pub odometry: Option<OdometryReport>,
     /// Messages of Vulkan validation; `None` where it was off or is not installed.
     pub validation_messages: Option<u64>,
     /// The recording; `None` where none was asked for.
@@ -185,6 +202,13 @@ impl std::fmt::Display for RunReport {
                     frame_us.p95
                 )?,
             }
+        }
+        if let Some(beside) = &self.odometry {
+            writeln!(
+                f,
+                "odometry       {} frames beside the runtime's poses: {:.4} m, {:.3} deg apart (root mean square)",
+                beside.compared, beside.position_rms_m, beside.rotation_rms_deg
+            )?;
         }
         if let Some(count) = self.validation_messages {
             writeln!(f, "validation     {count} messages")?;

@@ -21,6 +21,7 @@ use crate::frame_loop::{self, End};
 use crate::guest::Guest;
 use crate::headset::{self, Handed};
 use crate::markers::with_markers;
+use crate::odometry::{self, Beside};
 use crate::own_file::own_file;
 use crate::place;
 use crate::pose_log::PoseLog;
@@ -65,6 +66,8 @@ pub(crate) struct Run<'a> {
     pub(crate) desk: Option<Desk>,
     /// What moves the simulated headset, once it is open.
     pub(crate) motion: Option<Arc<dyn PoseProvider>>,
+    /// Our odometry beside a real headset, where it is asked for.
+    pub(crate) beside: Option<Beside>,
     /// How far session time has come, where a session has run.
     pub(crate) session_time: Option<Timestamp>,
     /// What the session keeps of itself; with the client while one runs.
@@ -211,6 +214,7 @@ fn whole<'a>(
         has_begun: false,
         desk: if config.window { Some(Desk::open()?) } else { None },
         motion: guest.as_mut().and_then(|guest| guest.wearer()),
+        beside: None,
         session_time: None,
         book: None,
         has_booked: false,
@@ -276,7 +280,7 @@ fn check(config: &RunConfig) -> Result<(), Error> {
         return Err(Error::Call("--fault is for the simulated headset: a real runtime has its own".into()));
     }
     if config.headset == HeadsetChoice::OpenXr
-        && (config.ipd_m.is_some() || given(config.motion.as_ref()) || given(config.profile.as_ref()))
+        && (config.ipd_m.is_some() || headset::moves_a_head(config) || given(config.profile.as_ref()))
     {
         return Err(Error::Call(
             "--ipd, --motion and --profile are for the simulated headset: on a real runtime the eye poses are the \
@@ -343,6 +347,9 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
     })?;
     run.config.headset = if chosen.is_simulated { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
     if !chosen.is_simulated {
+        if let Some(folder) = run.config.motion.as_deref().and_then(odometry::folder) {
+            run.beside = Some(Beside::start(folder)?);
+        }
         // Neither the recording nor a session after a loss is to know of what was not used.
         run.config.motion = None;
     }
@@ -381,6 +388,13 @@ fn close_book(run: &mut Run<'_>) -> Option<Comparison> {
 }
 
 fn finish(run: &mut Run<'_>) -> Result<(), Error> {
+    if let Some(beside) = run.beside.take() {
+        let (report, failure) = beside.finish();
+        run.report.odometry = Some(report);
+        if let Some(sentence) = failure {
+            run.warn(&sentence);
+        }
+    }
     let report = &mut run.report;
     report.frames = run.tally.frames;
     report.paced = run.tally.paced;

@@ -24,7 +24,30 @@ pub enum Mode {
     Rgbd,
 }
 
+impl std::fmt::Display for Mode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::StereoInertial => "stereo-inertial",
+            Self::Stereo => "stereo",
+            Self::MonoInertial => "mono-inertial",
+            Self::Mono => "mono",
+            Self::Rgbd => "rgbd",
+        })
+    }
+}
+
 impl Mode {
+    /// The one in which most sensors of a recording take part.
+    pub fn of(dataset: &Dataset) -> Self {
+        match (dataset.cameras.len() > 1, dataset.inertial.is_some()) {
+            (true, true) => Self::StereoInertial,
+            (true, false) => Self::Stereo,
+            (false, true) => Self::MonoInertial,
+            (false, false) if dataset.frames.iter().any(|frame| frame.depth.is_some()) => Self::Rgbd,
+            (false, false) => Self::Mono,
+        }
+    }
+
     /// Whether the inertial unit takes part.
     pub fn inertial(self) -> bool {
         matches!(self, Self::StereoInertial | Self::MonoInertial)

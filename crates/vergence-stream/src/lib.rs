@@ -2,7 +2,5 @@
 #![forbid(unsafe_code)]
 
 mod history;
-mod timeline;
 
 pub use history::{Answer, How, PoseHistory, Reach};
-pub use timeline::Timeline;

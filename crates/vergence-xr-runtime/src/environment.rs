@@ -1,9 +1,9 @@
 //! What the environment says of the headset.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use vergence_session::SessionLog;
-use vergence_xr_sim::{ClockMode, Config, Fault, FaultPlan, Profile, motion};
+use vergence_session::open_motion;
+use vergence_xr_sim::{ClockMode, Config, Fault, FaultPlan, Profile};
 
 use crate::capture;
 
@@ -28,9 +28,9 @@ pub enum Error {
         /// Why.
         source: vergence_xr_sim::Error,
     },
-    /// The recorded session that is to move it cannot be read.
+    /// What is to move it cannot be read, or is none.
     #[error("{name}: {source}")]
-    Log {
+    Motion {
         /// The variable.
         name: &'static str,
         /// Why.
@@ -59,12 +59,10 @@ pub fn configuration(get: impl Fn(&str) -> Option<String>) -> Result<Config, Err
         config.profile = Profile::open(&profile).map_err(headset("VERGENCE_XR_PROFILE"))?;
     }
     if let Some(name) = given("VERGENCE_XR_MOTION") {
-        config.motion = if name.ends_with(".mcap") {
-            let script = SessionLog::open(Path::new(&name)).and_then(|log| log.motion());
-            Box::new(script.map_err(|source| Error::Log { name: "VERGENCE_XR_MOTION", source })?)
-        } else {
-            motion::open(&name).map_err(headset("VERGENCE_XR_MOTION"))?
-        };
+        let motion =
+            open_motion(&name, &|| false, &mut |sentence| eprintln!("vergence OpenXR runtime: {sentence}"));
+        config.motion =
+            Box::new(motion.map_err(|source| Error::Motion { name: "VERGENCE_XR_MOTION", source })?);
     }
     if let Some(clock) = given("VERGENCE_XR_CLOCK") {
         config.clock = match clock.as_str() {

@@ -30,8 +30,9 @@ pub struct Args {
     #[arg(long, value_name = "NAME|FILE.toml")]
     profile: Option<String>,
     /// Simulated headset: how its user moves: still, a motion or script that comes with it (look-around, room1, tour), a
-    /// motion or script file, or a recorded session [default: still]
-    #[arg(long, value_name = "NAME|FILE.toml|FILE.mcap")]
+    /// motion or script file, a recorded session, or as our odometry says of a recorded rig (a EuRoC or 7-Scenes folder)
+    /// [default: still]. A real headset is moved by its user: there our odometry is kept beside it and compared
+    #[arg(long, value_name = "NAME|FILE.toml|FILE.mcap|slam:DATASET")]
     motion: Option<String>,
     /// Simulated headset: distance between the eyes [default: the profile's]
     #[arg(long, value_name = "MM", value_parser = framing::ipd_mm, allow_negative_numbers = true)]

@@ -156,13 +156,24 @@ impl Motion {
         let stage_from_y_up = match raw.placement {
             Placement::Absolute => Rigid::identity(),
             Placement::StartRelative => {
-                let y_up_from_head = y_up_from_world * trajectory.first() * body_from_head;
-                let y_up_from_start = Rigid::from_parts(y_up_from_head.translation, yaw_of(&y_up_from_head));
-                Rigid::translation(0.0, eye_height_m, 0.0) * y_up_from_start.inverse()
+                stage_from_start(&(y_up_from_world * trajectory.first() * body_from_head), eye_height_m)
             }
         };
         Ok(Self { trajectory, stage_from_world: stage_from_y_up * y_up_from_world, body_from_head })
     }
+
+    /// A motion that begins at the user's start, eyes at eye height (metres) above the stage's origin and facing −z: a
+    /// trajectory in a world with y up, and the head on the body that it is of.
+    pub fn from_start(trajectory: Trajectory, body_from_head: Rigid, eye_height_m: f64) -> Self {
+        let stage_from_world = stage_from_start(&(trajectory.first() * body_from_head), eye_height_m);
+        Self { trajectory, stage_from_world, body_from_head }
+    }
+}
+
+/// Puts a head's first pose, in a world with y up, at the user's start.
+fn stage_from_start(world_from_head: &Rigid, eye_height_m: f64) -> Rigid {
+    let world_from_start = Rigid::from_parts(world_from_head.translation, yaw_of(world_from_head));
+    Rigid::translation(0.0, eye_height_m, 0.0) * world_from_start.inverse()
 }
 
 fn load(motion: &Path, name: &str) -> Result<Vec<Sample>, Error> {

@@ -1,0 +1,311 @@
+//! Our own tracking of a recorded rig (`slam:DATASET`): it moves the simulated headset; on a real one, whose runtime says where
+//! the head is, its pose is kept beside the runtime's and compared.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
+use std::thread::JoinHandle;
+
+use nalgebra::Vector3;
+use vergence_geom::{Rigid, log, yaw};
+use vergence_sense::Pose;
+use vergence_slam::dataset::Dataset;
+use vergence_slam::playback::{Mode, Playback};
+use vergence_slam::{Estimate, Params, State};
+use vergence_stream::{How, PoseHistory, Reach};
+use vergence_time::{Span, Timestamp};
+use vergence_vision::TrackerKnobs;
+use vergence_xr_sim::motion::{AtEnd, Gaps, Motion, Sample, Trajectory};
+
+use crate::error::Error;
+use crate::report::OdometryReport;
+
+/// What the name of such a motion begins with.
+const PREFIX: &str = "slam:";
+/// Eyes above the floor where the rig starts, metres.
+const EYE_HEIGHT_M: f64 = 1.6;
+/// Without a pose for longer than so many periods of the cameras, the head is held, not tracked.
+const PERIODS_BRIDGED: f64 = 3.5;
+/// Poses that may wait for their time to come: half a minute of a camera at 20 Hz, 200 bytes each.
+const AHEAD: usize = 600;
+
+/// The folder of the recording that a motion names; `None` for another motion.
+pub(crate) fn folder(motion: &str) -> Option<&Path> {
+    motion.strip_prefix(PREFIX).map(Path::new)
+}
+
+/// A head for a rig: between the eyes is where the first camera is, and it looks where that looks (x right, y down, z ahead
+/// become x right, y up, −z ahead).
+fn body_from_head(dataset: &Dataset) -> Rigid {
+    let camera_from_head = Rigid::rotation(Vector3::x() * std::f64::consts::PI);
+    dataset.cameras.first().map_or(camera_from_head, |camera| camera.body_from_camera * camera_from_head)
+}
+
+/// Follows the whole recording, as far as `goes_on` lets it.
+fn follow(dataset: &Dataset, mut take: impl FnMut(&Estimate) -> bool) -> Result<(), vergence_slam::Error> {
+    let mode = Mode::of(dataset);
+    let mut playback = Playback::new(dataset, mode, TrackerKnobs::default(), Params::default())?;
+    for frame in 0..dataset.frames.len() {
+        let loaded = Playback::load(dataset, mode, frame)?;
+        if !take(&playback.follow(frame, &loaded)?) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// The motion of the simulated headset: as our odometry says, from the user's start; it ends with the recording. The whole
+/// recording is followed first, since a pose provider gives the same answer whenever it is asked.
+pub(crate) fn motion(
+    folder: &Path,
+    is_stopped: &dyn Fn() -> bool,
+    say: &mut dyn FnMut(&str),
+) -> Result<Motion, Error> {
+    let dataset = Dataset::open(folder)?;
+    let count = dataset.frames.len();
+    let name = folder.display();
+    say(&format!("following the {count} frames of {name} ({}) before the session", Mode::of(&dataset)));
+    let mut samples = Vec::with_capacity(count);
+    let mut held = 0usize;
+    follow(&dataset, |estimate| {
+        match estimate.state {
+            State::Waiting | State::Lost => held += 1,
+            _ => samples.push(Sample { at: estimate.time, world_from_body: estimate.world_from_body }),
+        }
+        !is_stopped()
+    })?;
+    if held > 0 {
+        say(&format!("{name}: tracking is lost in {held} of {count} frames; the head is held there"));
+    }
+    let nothing = || Error::Call(format!("{name}: expected frames that can be followed, found none"));
+    let begins = samples.first().ok_or_else(nothing)?.at;
+    let bridged = period(&dataset).and_then(|period| Span::from_secs_f64(period * PERIODS_BRIDGED));
+    let step = bridged.unwrap_or(Span::from_millis(175));
+    let trajectory = Trajectory::new(samples, begins, AtEnd::Stop, Gaps::Hold, step).ok_or_else(nothing)?;
+    Ok(Motion::from_start(trajectory, body_from_head(&dataset), EYE_HEIGHT_M))
+}
+
+/// From one frame to the next on the average, seconds.
+fn period(dataset: &Dataset) -> Option<f64> {
+    let (first, last) = (dataset.frames.first()?.at, dataset.frames.last()?.at);
+    let steps = dataset.frames.len().checked_sub(1).filter(|steps| *steps > 0)?;
+    Some(last.since(first)?.as_secs_f64() / steps as f64)
+}
+
+/// Odometry beside a real headset. It runs on a thread of its own, ahead of the session; each pose is taken when its time has
+/// come, and carried on to the display time as that of a live rig would have to be.
+pub(crate) struct Beside {
+    poses: Receiver<Result<(Span, Rigid), vergence_slam::Error>>,
+    thread: Option<JoinHandle<()>>,
+    /// Taken and not due yet.
+    next: Option<(Span, Rigid)>,
+    /// On the recording's clock, from its first frame.
+    history: PoseHistory,
+    /// The display time at which the recording began.
+    begins: Option<Timestamp>,
+    /// How far into the recording the latest frame was.
+    reached: Span,
+    comparison: Comparison,
+    failure: Option<vergence_slam::Error>,
+    dataset: PathBuf,
+    mode: Mode,
+}
+
+impl Beside {
+    /// Opens the recording and begins to follow it.
+    pub(crate) fn start(folder: &Path) -> Result<Self, Error> {
+        let dataset = Dataset::open(folder)?;
+        let mode = Mode::of(&dataset);
+        let (give, poses) = sync_channel(AHEAD);
+        let work = move || {
+            let body_from_head = body_from_head(&dataset);
+            let mut first = None;
+            let followed = follow(&dataset, |estimate| {
+                let begins = *first.get_or_insert(estimate.time);
+                let is_known = !matches!(estimate.state, State::Waiting | State::Lost);
+                let pose = estimate.time.since(begins).filter(|_| is_known);
+                // Where nobody takes it any more, the session is over.
+                pose.is_none_or(|at| give.send(Ok((at, estimate.world_from_body * body_from_head))).is_ok())
+            });
+            if let Err(error) = followed {
+                // As above.
+                let _ = give.send(Err(error));
+            }
+        };
+        let thread = std::thread::Builder::new().name("odometry".into()).spawn(work);
+        let thread = thread.map_err(Error::read(folder))?;
+        Ok(Self::of(poses, Some(thread), folder, mode))
+    }
+
+    fn of(
+        poses: Receiver<Result<(Span, Rigid), vergence_slam::Error>>,
+        thread: Option<JoinHandle<()>>,
+        folder: &Path,
+        mode: Mode,
+    ) -> Self {
+        Self {
+            poses,
+            thread,
+            next: None,
+            history: PoseHistory::new(&Reach::default()),
+            begins: None,
+            reached: Span::ZERO,
+            comparison: Comparison::default(),
+            failure: None,
+            dataset: folder.to_owned(),
+            mode,
+        }
+    }
+
+    /// Where our odometry has the head at a display time, in its own world (y up); compared with where the runtime has it, in
+    /// LOCAL space. `None` before the recording, behind it, and where the odometry has not come so far. Neither waits nor
+    /// allocates.
+    pub(crate) fn at(&mut self, display: Timestamp, local_from_head: Option<&Rigid>) -> Option<Pose> {
+        let earlier = display.saturating_add(Span::from_nanos(self.reached.as_nanos().saturating_neg()));
+        let begins = *self.begins.get_or_insert(earlier);
+        let at = display.since(begins)?;
+        self.reached = at;
+        while let Some((time, pose)) = self.take_until(at) {
+            self.history.push(instant(time), Pose::tracked(pose), None);
+        }
+        let answer = self.history.at(instant(at));
+        if answer.how == How::Lost {
+            return None;
+        }
+        if let Some((ours, theirs)) = answer.pose.reference_from_device().zip(local_from_head) {
+            self.comparison.add(&ours, theirs);
+        }
+        Some(answer.pose)
+    }
+
+    fn take_until(&mut self, at: Span) -> Option<(Span, Rigid)> {
+        if self.next.is_none() {
+            self.next = match self.poses.try_recv() {
+                Ok(Ok(pose)) => Some(pose),
+                Ok(Err(error)) => {
+                    self.failure = Some(error);
+                    None
+                }
+                Err(TryRecvError::Empty | TryRecvError::Disconnected) => None,
+            };
+        }
+        self.next.take_if(|(time, _)| *time <= at)
+    }
+
+    /// The session's clock was set: the time between the frame before and this one has not passed.
+    pub(crate) fn rebase(&mut self) {
+        self.begins = None;
+    }
+
+    /// How the two compare, and why the odometry ended early where it did.
+    pub(crate) fn finish(mut self) -> (OdometryReport, Option<String>) {
+        let (position_rms_m, rotation_rms_deg) = self.comparison.rms();
+        let report = OdometryReport {
+            dataset: self.dataset.display().to_string(),
+            mode: self.mode.to_string(),
+            compared: self.comparison.count,
+            position_rms_m,
+            rotation_rms_deg,
+        };
+        (report, self.failure.take().map(|error| crate::error::with_cause(&error)))
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        // Without a receiver the thread ends at its next pose.
+        self.poses = sync_channel(0).1;
+        if let Some(thread) = self.thread.take() {
+            // It says what fails through the channel.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// An instant on the recording's clock.
+fn instant(since_first: Span) -> Timestamp {
+    Timestamp::default().saturating_add(since_first)
+}
+
+/// Two tracks of one head. Both worlds have y up, so they differ by a turn about the vertical and a shift, which the first
+/// pair gives.
+#[derive(Debug, Default)]
+struct Comparison {
+    theirs_from_ours: Option<Rigid>,
+    count: u64,
+    position_m2: f64,
+    rotation_rad2: f64,
+}
+
+impl Comparison {
+    fn add(&mut self, ours: &Rigid, theirs: &Rigid) {
+        let aligned = self.theirs_from_ours.get_or_insert_with(|| {
+            let turn = yaw(&(theirs * ours.inverse()).rotation);
+            let shift = theirs.translation.vector - turn * ours.translation.vector;
+            Rigid::from_parts(shift.into(), turn)
+        });
+        let ours = *aligned * ours;
+        self.count += 1;
+        self.position_m2 += (ours.translation.vector - theirs.translation.vector).norm_squared();
+        self.rotation_rad2 += log(&(ours.rotation.inverse() * theirs.rotation)).norm_squared();
+    }
+
+    /// Position in metres, rotation in degrees.
+    fn rms(&self) -> (f64, f64) {
+        let rms = |sum: f64| (sum / self.count.max(1) as f64).sqrt();
+        (rms(self.position_m2), rms(self.rotation_rad2).to_degrees())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A head that goes ahead at 1 m/s and turns at 0.5 rad/s.
+    fn way(at: Span) -> Rigid {
+        let s = at.as_secs_f64();
+        Rigid::new(Vector3::new(0.0, 0.0, -s), Vector3::y() * (0.5 * s))
+    }
+
+    fn beside(poses: i64) -> Beside {
+        let (give, take) = sync_channel(AHEAD);
+        for number in 0..poses {
+            let at = Span::from_millis(50 * number);
+            give.send(Ok((at, way(at)))).expect("there is room");
+        }
+        Beside::of(take, None, Path::new("recording"), Mode::StereoInertial)
+    }
+
+    #[test]
+    fn what_two_trackers_say_of_one_head_differs_by_the_prediction_alone() {
+        let mut beside = beside(40);
+        // The runtime's origin is elsewhere and turned.
+        let local_from_ours = Rigid::new(Vector3::new(3.0, -1.0, 2.0), Vector3::y() * 2.0);
+        let begins = Timestamp::from_nanos(1_400_000_000_000_000_000);
+        for frame in 0..180 {
+            let at = Span::from_nanos(frame * 11_111_111);
+            let display = begins.saturating_add(at);
+            let found = beside.at(display, Some(&(local_from_ours * way(at))));
+            let found = found.and_then(|pose| pose.reference_from_device());
+            // At first there is no velocity to go on with.
+            if frame > 5 {
+                let found = found.expect("a pose is carried 50 ms ahead");
+                let off = (found.translation.vector - way(at).translation.vector).norm();
+                assert!(off < 1e-9, "frame {frame}: {off}");
+            }
+        }
+        let (report, failure) = beside.finish();
+        assert_eq!((report.compared, failure), (180, None));
+        // Five frames of the first 50 ms without a velocity: up to 50 mm and 1.4 degrees.
+        assert!(report.position_rms_m < 8e-3 && report.rotation_rms_deg < 0.25, "{report:?}");
+    }
+
+    #[test]
+    fn what_ends_is_not_carried_on_for_ever() {
+        let mut beside = beside(3);
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        assert!(beside.at(at(0), None).is_some());
+        assert!(beside.at(at(150), None).is_some());
+        assert!(beside.at(at(450), None).is_none());
+        assert_eq!(beside.finish().0.compared, 0);
+    }
+}
