@@ -9,6 +9,9 @@ use std::time::{Duration, Instant};
 use vergence_gpu::{
     Device, DeviceDesc, Image, ImageDesc, Instance, InstanceDesc, Mirror, Shown, Upload, Use, vk,
 };
+use vergence_input::Config;
+use vergence_sense::{Button, Reading, Sample, Sink, SourceStream, TouchPhase, Vector2};
+use vergence_time::{Clock, HostClock, Span};
 use vergence_window::{Event, PointerButton, Window};
 
 /// Long enough for a busy machine; nothing here takes longer than a second on an idle one.
@@ -78,13 +81,23 @@ fn xdotool(arguments: &[&str]) -> bool {
 
 #[test]
 fn a_window_shows_what_is_mirrored_and_tells_what_the_user_does() {
+    on_a_screen("inner");
+}
+
+#[test]
+fn the_desktop_is_a_source() {
+    on_a_screen("inner_desktop");
+}
+
+/// Runs a test of this file on a screen of its own.
+fn on_a_screen(test: &str) {
     let Some(screen) = Screen::start() else {
         vergence_tests::skip("xvfb", "no Xvfb");
         return;
     };
     // The display is named by an environment variable, which belongs to a process: the window gets one of its own.
     let output = Command::new(std::env::current_exe().expect("the test is a file"))
-        .args(["--exact", "inner", "--ignored", "--nocapture"])
+        .args(["--exact", test, "--ignored", "--nocapture"])
         .env("DISPLAY", &screen.display)
         .env("VERGENCE_TEST_SCREEN", screen.folder.path())
         .env_remove("WAYLAND_DISPLAY")
@@ -195,4 +208,56 @@ fn tells(window: &mut Window) {
     }
     assert!(xdotool(&["mousemove_relative", "5", "7"]));
     collect(window, "the movement", &|e| *e == Event::PointerMoved { dx: 5.0, dy: 7.0 });
+}
+
+/// Readings of a desktop by the names of their streams.
+#[derive(Default)]
+struct Said(Vec<String>, Vec<(usize, Reading<'static>)>);
+
+impl Sink for Said {
+    fn appears(&mut self, _: usize, stream: &SourceStream) {
+        self.0.push(stream.name.clone());
+    }
+
+    fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
+        let mut one = Vec::new();
+        Sink::take(&mut one, stream, sample);
+        self.1.extend(one.into_iter().map(|(stream, sample)| (stream, sample.value)));
+    }
+}
+
+#[test]
+#[ignore = "run by the other test, on its screen"]
+fn inner_desktop() {
+    let clock: Arc<dyn Clock> = Arc::new(HostClock::start());
+    let config = Config::default();
+    let device = vergence_input::find("desktop", &config).expect("always there");
+    let mut source = vergence_input::open(&device, &config, clock.clone()).expect("a window on this screen");
+    let mut said = Said(source.streams().iter().map(|stream| stream.name.clone()).collect(), Vec::new());
+    if !xdotool(&["search", "--sync", "--name", "Vergence: keys", "windowfocus"]) {
+        return vergence_tests::skip("xdotool", "no xdotool");
+    }
+    let mut collect = |what: &str, name: &str, wanted: &dyn Fn(&Reading<'_>) -> bool| {
+        until(what, || {
+            source.advance(clock.now().saturating_add(Span::from_millis(50)), &mut said);
+            said.1.iter().any(|(place, value)| said.0[*place] == name && wanted(value))
+        });
+    };
+    let event =
+        |name: &'static str| move |value: &Reading<'_>| matches!(value, Reading::Event(e) if e.name == name);
+    let button = |is_down| move |value: &Reading<'_>| *value == Reading::Button(Button(Some(is_down)));
+    collect("the window", "events", &event("connected"));
+    collect("the focus", "events", &event("focused"));
+    assert!(xdotool(&["mousemove", "30", "40", "click", "1", "key", "w", "click", "8"]));
+    let phase = |phase| move |value: &Reading<'_>| matches!(value, Reading::Touch(touch) if touch.phase == phase && touch.position == [30.0, 40.0]);
+    collect("the pointer", "pointer", &phase(TouchPhase::Hovers));
+    for (is_down, touch) in [(true, TouchPhase::Begins), (false, TouchPhase::Ends)] {
+        collect("the button", "mouse/left", &button(is_down));
+        collect("the touch of the pointer", "pointer", &phase(touch));
+        collect("the key", "key/w", &button(is_down));
+    }
+    assert!(xdotool(&["mousemove_relative", "5", "7"]));
+    let moved = Reading::Vector2(Vector2(Some([5.0, -7.0])));
+    collect("the movement", "mouse/move", &|value| *value == moved);
+    assert!(!said.0.iter().any(|name| name == "mouse/back"), "only for who asks");
 }

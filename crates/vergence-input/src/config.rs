@@ -10,15 +10,19 @@ use crate::error::Error;
 /// A file may say how devices are read whose adapters are left out.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-#[cfg_attr(not(all(feature = "serial", feature = "hid", feature = "gamepad")), allow(dead_code))]
+#[cfg_attr(
+    not(all(feature = "serial", feature = "hid", feature = "gamepad", feature = "desktop")),
+    allow(dead_code)
+)]
 struct Raw {
     #[serde(default)]
     serial: RawSerial,
     #[serde(default)]
     hid: RawHid,
     #[serde(default)]
-    #[cfg_attr(not(feature = "gamepad"), allow(dead_code))]
     gamepad: RawGamepad,
+    #[serde(default)]
+    desktop: RawDesktop,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -58,6 +62,14 @@ struct RawGamepad {
     mappings: Vec<PathBuf>,
 }
 
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[cfg_attr(not(feature = "desktop"), allow(dead_code))]
+struct RawDesktop {
+    #[serde(default)]
+    extra_mouse_buttons: bool,
+}
+
 /// How devices are read: what the adapters' defaults do not know of them.
 #[derive(Clone, Debug, Default)]
 pub struct Config {
@@ -67,6 +79,9 @@ pub struct Config {
     /// For HID devices: mappings that come before those that are built in.
     #[cfg(feature = "hid")]
     pub hid_mappings: Vec<crate::hid::Mapping>,
+    /// For the window of the desktop.
+    #[cfg(feature = "desktop")]
+    pub desktop: crate::desktop::DesktopConfig,
     /// Texts in the format of SDL's database, whose lines come before those that are built in.
     pub gamepad_mappings: Vec<String>,
 }
@@ -82,7 +97,13 @@ impl Config {
     }
 
     fn resolve(raw: Raw, path: &Path) -> Result<Self, Error> {
-        #[cfg_attr(not(any(feature = "serial", feature = "hid", feature = "gamepad")), allow(unused_mut))]
+        // Without adapters there is nothing to take over.
+        #[cfg(not(any(feature = "serial", feature = "hid", feature = "gamepad")))]
+        let _ = (&raw, path);
+        #[cfg_attr(
+            not(any(feature = "serial", feature = "hid", feature = "gamepad", feature = "desktop")),
+            allow(unused_mut)
+        )]
         let mut config = Self::default();
         #[cfg(feature = "serial")]
         {
@@ -119,6 +140,10 @@ impl Config {
                 serial.columns =
                     Some(known.ok_or_else(|| refuse(&columns, "expected names separated by commas"))?);
             }
+        }
+        #[cfg(feature = "desktop")]
+        {
+            config.desktop.extra_mouse_buttons = raw.desktop.extra_mouse_buttons;
         }
         #[cfg(any(feature = "gamepad", feature = "hid"))]
         let beside = |mapping: PathBuf| path.parent().unwrap_or(Path::new("")).join(mapping);

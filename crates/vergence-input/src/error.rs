@@ -52,7 +52,10 @@ pub enum Error {
 }
 
 impl Error {
-    #[cfg_attr(not(any(feature = "serial", feature = "hid", feature = "gamepad")), allow(dead_code))]
+    #[cfg_attr(
+        not(any(feature = "serial", feature = "hid", feature = "gamepad", feature = "desktop")),
+        allow(dead_code)
+    )]
     pub(crate) fn open(found: &Found, reason: impl ToString) -> Self {
         let reason = found.problem.clone().unwrap_or_else(|| reason.to_string());
         Self::Open { path: found.path.clone(), reason, remedy: found.remedy.clone() }

@@ -42,6 +42,7 @@ impl Found {
         }
     }
 
+    #[cfg(any(feature = "serial", feature = "hid", feature = "gamepad"))]
     /// Says a problem where the node may not be read and written, with the udev rule or the group that mends it.
     pub(crate) fn check_access(&mut self, group: &str) {
         use rustix::fs::{Access, access};

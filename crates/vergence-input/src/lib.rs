@@ -1,10 +1,13 @@
 #![doc = include_str!("../README.md")]
 
-#[cfg(any(feature = "serial", feature = "hid", feature = "gamepad"))]
 #[cfg(any(feature = "gamepad", feature = "hid"))]
 mod claim;
 mod config;
+// What devices with a clock have is dead in a build without them.
+#[cfg_attr(not(any(feature = "serial", feature = "hid", feature = "gamepad")), allow(dead_code))]
 mod connection;
+#[cfg(feature = "desktop")]
+pub mod desktop;
 mod error;
 mod found;
 #[cfg(feature = "gamepad")]
@@ -28,6 +31,7 @@ use vergence_time::Clock;
 
 /// Everything that is plugged in and that one of the adapters of this build reads, by adapter and path.
 pub fn found(config: &Config) -> Vec<Found> {
+    #[cfg_attr(not(any(feature = "serial", feature = "hid", feature = "gamepad")), allow(unused_mut))]
     let mut all = Vec::new();
     let _ = config;
     #[cfg(feature = "gamepad")]
@@ -40,7 +44,7 @@ pub fn found(config: &Config) -> Vec<Found> {
 }
 
 /// The device that `name` means: its path, or a part of its name that no other has, or `serial:PATH` for a port that is not
-/// listed (one without USB).
+/// listed (one without USB), or `desktop` for keyboard, mouse and touches of a window that is opened for it.
 ///
 /// # Errors
 /// Where there is none, or more than one.
@@ -48,6 +52,10 @@ pub fn find(name: &str, config: &Config) -> Result<Found, Error> {
     let all = found(config);
     if let Some(device) = all.iter().find(|device| device.path == name) {
         return Ok(device.clone());
+    }
+    #[cfg(feature = "desktop")]
+    if name == desktop::DESKTOP {
+        return Ok(desktop::found());
     }
     #[cfg(feature = "serial")]
     if let Some(path) = name.strip_prefix("serial:") {
@@ -81,6 +89,8 @@ pub fn open(device: &Found, config: &Config, clock: Arc<dyn Clock>) -> Result<Bo
         "gamepad" => Ok(Box::new(gamepad::GamepadSource::open(device, config, clock)?)),
         #[cfg(feature = "gamepad")]
         "motion" => Ok(Box::new(gamepad::MotionSource::open(device, clock)?)),
+        #[cfg(feature = "desktop")]
+        desktop::DESKTOP => Ok(Box::new(desktop::DesktopSource::open(config.desktop, clock)?)),
         #[cfg(feature = "hid")]
         "hid" => Ok(Box::new(hid::HidSource::open(device, config, clock)?)),
         _ => Err(Error::open(device, "no adapter of this build reads it")),

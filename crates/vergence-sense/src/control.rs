@@ -8,8 +8,8 @@ pub struct Button(pub Option<bool>);
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Axis(pub Option<f32>);
 
-/// Something that is pushed in a plane: x to the right, y away from the user, inside the unit disc; `None` where no
-/// device offers it now.
+/// Something that is pushed in a plane: x to the right, y away from the user, inside the unit disc or, where the stream has a unit (a
+/// mouse's `counts`, a wheel's `lines`), how far since the last sample; `None` where no device offers it now.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vector2(pub Option<[f32; 2]>);
 

@@ -1,5 +1,6 @@
 //! What happens in a window, in our words; and the adapters that the event loop calls.
 
+use vergence_sense::TouchPhase;
 use winit::application::ApplicationHandler;
 use winit::event::{DeviceEvent, DeviceId, ElementState, MouseButton, MouseScrollDelta, WindowEvent};
 use winit::event_loop::ActiveEventLoop;
@@ -68,6 +69,17 @@ pub enum Event {
         /// Down or up.
         pressed: bool,
     },
+    /// A finger on a touch screen.
+    Touch {
+        /// Which: the same number from its first touch to its last.
+        contact: u32,
+        /// To the right, in physical pixels from the window's upper left corner.
+        x: f64,
+        /// Down.
+        y: f64,
+        /// What it does; a screen does not tell fingers that hover.
+        phase: TouchPhase,
+    },
     /// The wheel turned, in lines.
     Wheel {
         /// To the right.
@@ -127,6 +139,18 @@ impl State {
                     Event::Wheel { right: pixels.x / PIXELS_PER_LINE, up: pixels.y / PIXELS_PER_LINE }
                 }
             },
+            WindowEvent::Touch(touch) => Event::Touch {
+                // Window systems count contacts from some number on; what matters is that two at once differ.
+                contact: touch.id as u32,
+                x: touch.location.x,
+                y: touch.location.y,
+                phase: match touch.phase {
+                    winit::event::TouchPhase::Started => TouchPhase::Begins,
+                    winit::event::TouchPhase::Moved => TouchPhase::Moves,
+                    winit::event::TouchPhase::Ended => TouchPhase::Ends,
+                    winit::event::TouchPhase::Cancelled => TouchPhase::Cancelled,
+                },
+            },
             _ => return None,
         })
     }
@@ -173,6 +197,36 @@ impl ApplicationHandler for Listener<'_> {
             && self.state.focused
         {
             (self.tell)(Event::PointerMoved { dx, dy });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use winit::dpi::PhysicalPosition;
+
+    use super::*;
+
+    #[test]
+    fn fingers_are_passed_on() {
+        use winit::event::TouchPhase as Theirs;
+        let mut state = State::new(WindowId::dummy());
+        for (theirs, ours) in [
+            (Theirs::Started, TouchPhase::Begins),
+            (Theirs::Moved, TouchPhase::Moves),
+            (Theirs::Ended, TouchPhase::Ends),
+            (Theirs::Cancelled, TouchPhase::Cancelled),
+        ] {
+            let location = PhysicalPosition::new(3.5, 7.0);
+            let touch = winit::event::Touch {
+                device_id: DeviceId::dummy(),
+                phase: theirs,
+                location,
+                force: None,
+                id: 9,
+            };
+            let event = state.translate(WindowEvent::Touch(touch));
+            assert_eq!(event, Some(Event::Touch { contact: 9, x: 3.5, y: 7.0, phase: ours }));
         }
     }
 }

@@ -37,7 +37,7 @@ struct Monitor {
     /// Paths, or parts of names; as for `record --device` [default: every device that can be read]
     #[arg(value_name = "DEVICE")]
     devices: Vec<String>,
-    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings
+    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings, extra mouse buttons
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Ends after so many seconds [default: with Ctrl-C]

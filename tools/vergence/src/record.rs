@@ -26,10 +26,11 @@ const ROUND: Span = Span::from_millis(100);
 pub struct Args {
     /// The log (.mcap)
     output: PathBuf,
-    /// A device: its path, a part of its name, or serial:PATH [default: every one that can be read]
+    /// A device: its path, a part of its name, serial:PATH, or desktop for keyboard, mouse and touches of a window that opens [default:
+    /// every one that is listed and can be read]
     #[arg(long = "device", value_name = "DEVICE")]
     devices: Vec<String>,
-    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings
+    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings, extra mouse buttons
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Ends after so many seconds [default: with Ctrl-C]
