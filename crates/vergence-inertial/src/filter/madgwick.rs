@@ -63,6 +63,28 @@ fn gradient(q: &Quaternion<f64>, reference: &Vector3<f64>, measured: &Vector3<f6
     )
 }
 
+/// The same for a `reference` of +z, whose zeros are known.
+#[inline]
+fn gradient_up(q: &Quaternion<f64>, measured: &Vector3<f64>) -> Quaternion<f64> {
+    let (w, x, y, z) = (2.0 * q.w, 2.0 * q.i, 2.0 * q.j, 2.0 * q.k);
+    let fx = x * q.k - w * q.j - measured.x;
+    let fy = w * q.i + y * q.k - measured.y;
+    let fz = 2.0 * (1.0 - x * q.i - y * q.j - measured.z);
+    Quaternion::new(x * fy - y * fx, z * fx + w * fy - x * fz, z * fy - w * fx - y * fz, x * fx + y * fy)
+}
+
+/// `q` times the pure quaternion `v`, whose zero is known.
+#[inline]
+fn times_imaginary(q: &Quaternion<f64>, v: &Vector3<f64>) -> Quaternion<f64> {
+    let (w, x, y, z) = (q.w, q.i, q.j, q.k);
+    Quaternion::new(
+        -(x * v.x + y * v.y + z * v.z),
+        w * v.x + y * v.z - z * v.y,
+        w * v.y + z * v.x - x * v.z,
+        w * v.z + x * v.y - y * v.x,
+    )
+}
+
 impl Core for Madgwick {
     type State = MadgwickState;
 
@@ -76,11 +98,11 @@ impl Core for Madgwick {
             return;
         };
         let q = unit.into_inner();
-        let mut slope = q * Quaternion::from_imag(sample.gyr_rad_s * 0.5);
+        let mut slope = times_imaginary(&q, &(sample.gyr_rad_s * 0.5));
         if let Some(acc) = &sample.acc_m_s2 {
-            let mut down = gradient(&q, &Vector3::z(), &acc.normalize());
+            let mut down = gradient_up(&q, &(acc * (1.0 / acc.norm())));
             if let Some(mag) = &sample.mag_ut {
-                let mag = mag.normalize();
+                let mag = mag * (1.0 / mag.norm());
                 let field = unit * mag;
                 // Half the length: see above.
                 down += gradient(&q, &(Vector3::new(field.xy().norm(), 0.0, field.z) * 0.5), &mag);
@@ -110,5 +132,18 @@ impl Core for Madgwick {
 
     fn set_state(&mut self, state: MadgwickState) {
         self.state = state;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn known_zeros_change_nothing() {
+        let q = UnitQuaternion::from_euler_angles(0.7, -1.2, 2.1).into_inner();
+        let v = Vector3::new(0.36, -0.48, 0.8);
+        assert!((gradient_up(&q, &v) - gradient(&q, &Vector3::z(), &v)).norm() < 1e-15);
+        assert!((times_imaginary(&q, &v) - q * Quaternion::from_imag(v)).norm() < 1e-15);
     }
 }

@@ -62,6 +62,7 @@ params!(VergenceParams {
     bias_wander_deg_s,
     factor_sigma,
     tilt_noise_deg_s,
+    tilt_noise_before_rest_deg_s,
     tilt_outlier_deg_s,
     tilt_noise_per_acc,
     rest_noise_deg_s,

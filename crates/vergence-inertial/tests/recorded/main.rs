@@ -1,6 +1,7 @@
 //! Filters over recorded motion with optical truth: what others published is what ours give, and `vergence` beats it.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod hard;
 mod twin;
 
 use std::path::PathBuf;
@@ -13,16 +14,22 @@ use vergence_time::Timestamp;
 
 use twin::Twin;
 
-/// The recordings; `None`, said aloud, where there are none.
-fn trials() -> Option<Vec<(String, Recording)>> {
+/// A folder of the data; `None`, said aloud, where it is not there.
+fn data(name: &str) -> Option<PathBuf> {
     let required =
         std::env::var("VERGENCE_REQUIRE").unwrap_or_default().split(',').any(|entry| entry.trim() == "data");
-    let folder = std::env::var_os("VERGENCE_DATA").map(|data| PathBuf::from(data).join("broad"));
-    let Some(folder) = folder.filter(|folder| folder.is_dir()) else {
-        assert!(!required, "VERGENCE_REQUIRE names data, but there is none");
-        println!("skipped: no data (VERGENCE_DATA has no folder broad)");
-        return None;
-    };
+    let folder = std::env::var_os("VERGENCE_DATA").map(|data| PathBuf::from(data).join(name));
+    let found = folder.filter(|folder| folder.is_dir());
+    if found.is_none() {
+        assert!(!required, "VERGENCE_REQUIRE names data, but there is no {name}");
+        println!("skipped: no data (VERGENCE_DATA has no folder {name})");
+    }
+    found
+}
+
+/// The recordings; `None`, said aloud, where there are none.
+fn trials() -> Option<Vec<(String, Recording)>> {
+    let folder = data("broad")?;
     let mut paths: Vec<PathBuf> = std::fs::read_dir(&folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -198,8 +205,10 @@ fn a_restored_filter_continues_bit_for_bit() {
 }
 
 /// What the change of the score may be, at least: the resolution of the anchors. Beyond it, what VQF changes by, recording by
-/// recording: where samples do not hold what happened between them (the phone's 241 Hz and its harmonics become an inclination
-/// of 0.7° at 100 Hz, in any filter), both change alike, and in the mean VQF hides it by a lag that fits 100 Hz better.
+/// recording: where samples do not hold what happened between them, any filter's score changes. A harmonic of the phone at 99 Hz
+/// becomes, in samples taken by interpolation at 100 Hz, an acceleration of 0.4 m/s² that hardly changes: 0.4° of inclination in
+/// that recording, here and with VQF (which hides it in the mean by a lag that fits 100 Hz better). Samples at 120 Hz, and the
+/// inclination at 100 Hz where samples are means over the period, are held to the bar in the mean: no constant depends on the rate.
 const INVARIANCE_DEG: f64 = 0.05;
 
 /// Makes a copy that should score alike.
@@ -250,10 +259,10 @@ fn turned_resampled_and_biased_copies_score_alike() {
         }
         other
     };
-    let biased = |recording: &Recording| {
+    let biased = |recording: &Recording, size: f64| {
         let mut other = recording.clone();
         for (_, imu) in &mut other.samples {
-            imu.gyr_rad_s += Vector3::new(1.0, -1.0, 1.0).map(f64::to_radians);
+            imu.gyr_rad_s += Vector3::new(size, -size, size).map(f64::to_radians);
         }
         other
     };
@@ -277,12 +286,35 @@ fn turned_resampled_and_biased_copies_score_alike() {
         average(&plain[0]),
         average(&plain[1])
     );
-    let copies: [(&str, Copying); 5] = [
+    // The mean over each period, as of a unit that samples no faster than its readings are smooth.
+    let averaged = |recording: &Recording| {
+        const PARTS: usize = 16;
+        let fine = resampled(recording, 100.0 * PARTS as f64);
+        let mut other = Recording::default();
+        for middle in (PARTS..fine.samples.len() - PARTS).step_by(PARTS) {
+            let around = &fine.samples[middle - PARTS / 2..middle + PARTS / 2];
+            let sum = |of: &dyn Fn(&Imu) -> Vector3<f64>| {
+                around.iter().map(|(_, imu)| of(imu)).sum::<Vector3<f64>>() / PARTS as f64
+            };
+            let imu = Imu {
+                gyr_rad_s: sum(&|imu| imu.gyr_rad_s),
+                acc_m_s2: sum(&|imu| imu.acc_m_s2),
+                mag_ut: Some(sum(&|imu| imu.mag_ut.unwrap())),
+            };
+            other.samples.push((fine.samples[middle].0, imu));
+            other.truth.push(fine.truth[middle]);
+        }
+        other
+    };
+    let copies: [(&str, Copying); 8] = [
         ("turned", &turned),
+        ("100 Hz, averaged", &averaged),
+        ("120 Hz", &|recording| resampled(recording, 120.0)),
         ("100 Hz", &|recording| resampled(recording, 100.0)),
         ("500 Hz", &|recording| resampled(recording, 500.0)),
         ("1000 Hz", &|recording| resampled(recording, 1000.0)),
-        ("biased by 1 deg/s", &biased),
+        ("biased by 1 deg/s", &|recording| biased(recording, 1.0)),
+        ("biased by -1 deg/s", &|recording| biased(recording, -1.0)),
     ];
     for (name, copy) in copies {
         let found = scores(copy);
@@ -300,7 +332,10 @@ fn turned_resampled_and_biased_copies_score_alike() {
         );
         for i in 0..3 {
             let most = INVARIANCE_DEG.max(vqf[i].abs());
-            if ours[i] > most && ours_each[i] > INVARIANCE_DEG.max(vqf_each[i]) {
+            let aliased = name == "100 Hz" && ours_each[i] <= INVARIANCE_DEG.max(vqf_each[i]);
+            // What averaging takes from the amplitude of a turn is a scale factor, and drift: only what aliases is asked about.
+            let of_another_motion = name == "100 Hz, averaged" && i != 1;
+            if ours[i] > most && !aliased && !of_another_motion {
                 wrong.push(format!("{name}, figure {i}: changes by {:.3}, VQF by {:.3}", ours[i], vqf[i]));
             }
         }

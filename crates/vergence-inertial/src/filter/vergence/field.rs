@@ -8,8 +8,9 @@ use crate::filter::saved::saved;
 
 /// Variance of a field that is not known, µT².
 const UNKNOWN: f64 = 900.0;
-/// Largest variance of field or offset, µT².
+/// Largest variance of the field, and of the offset, µT²: a magnet at the sensor may be as strong as it likes.
 const WIDEST: f64 = 2500.0;
+const WIDEST_OFFSET: f64 = 20_000.0;
 /// Largest square of a deviation that counts for learning an attached magnet, µT².
 const JUMP_MOST: f64 = 400.0;
 /// Time constant over which a deviation must stay with the sensor, seconds.
@@ -26,8 +27,10 @@ const FIELD_WANDER: f64 = 0.02;
 const OFFSET_WANDER: f64 = 0.01;
 /// How much less all that is while nothing moves.
 const REST_FACTOR: f64 = 0.1;
-/// Power with which outliers lose weight.
+/// Power with which outliers lose weight, and the part of them that does not where all of it stays with the sensor: that is
+/// learned, not waited out.
 const OUTLIER_POWER: f64 = 0.8;
+const OUTLIER_SPARED: f64 = 0.9;
 /// Root mean square of the deviation below which the field counts as confirmed by turning, µT.
 const CONFIRMED_UT: f64 = 4.0;
 /// Seconds of turning after which it is fully confirmed, and the most that is kept for bad times.
@@ -140,10 +143,11 @@ impl Field {
         let offset_wander = OFFSET_WANDER * OFFSET_WANDER * c.window_s + params.jump_offset * jump;
         for i in 0..3 {
             e.widen(i, field_wander, WIDEST);
-            e.widen(3 + i, offset_wander, WIDEST);
+            e.widen(3 + i, offset_wander, WIDEST_OFFSET);
         }
         let still = 1.0 + c.motion / (rate + 0.1 * c.motion);
-        let outlier = 1.0 + (squared / c.outlier_squared).powf(OUTLIER_POWER);
+        let strange = squared * (1.0 - OUTLIER_SPARED * coherent);
+        let outlier = 1.0 + (strange / c.outlier_squared).powf(OUTLIER_POWER);
         let r = c.field_r * still * outlier;
         for i in 0..3 {
             let mut row = SVector::<f64, 6>::zeros();

@@ -130,7 +130,7 @@ impl Vergence {
         let rested = matches!(stillness, Stillness::Rests { .. });
         // A window with holes says what it says about fewer samples; it is not used.
         if s.tilted >= c.window {
-            s.rates.learn(&s.tilt_window, stillness, p, c);
+            s.rates.learn(&s.tilt_window, stillness, s.rest.found(), p, c);
         }
         if s.field_window.samples >= 0.5 * c.window {
             s.field.learn(&s.field_window, rested, p, c);

@@ -31,6 +31,8 @@ pub struct VergenceParams {
     /// Noise of the rate seen in the tilt's correction in motion, degrees per second over one second; 0.1 to 3. Small: learns
     /// fast and follows acceleration. Default 0.35.
     pub tilt_noise_deg_s: f64,
+    /// The same before there was a rest; 0.3 to 3. Small: what levelling from motion takes is believed to be bias. Default 1.5.
+    pub tilt_noise_before_rest_deg_s: f64,
     /// The most that one window's deviation counts for, degrees per second; 0.3 to 10. Default 1.
     pub tilt_outlier_deg_s: f64,
     /// How much the variance of that noise grows with the square of the horizontal acceleration, s⁴/m²; 0 to 1. Default 0.006.
@@ -78,6 +80,7 @@ impl Default for VergenceParams {
             bias_wander_deg_s: 0.08,
             factor_sigma: 0.006,
             tilt_noise_deg_s: 0.35,
+            tilt_noise_before_rest_deg_s: 1.5,
             tilt_outlier_deg_s: 1.0,
             tilt_noise_per_acc: 0.006,
             rest_noise_deg_s: 0.01,
@@ -121,6 +124,7 @@ pub struct VergenceCoefficients {
     pub(super) bias_limit: f64,
     pub(super) bias_wander: f64,
     pub(super) tilt_r: f64,
+    pub(super) tilt_r_before_rest: f64,
     pub(super) tilt_most: f64,
     pub(super) rest_r: f64,
     pub(super) field_r: f64,
@@ -152,6 +156,7 @@ impl VergenceCoefficients {
             bias_limit: params.bias_limit_deg_s.to_radians(),
             bias_wander: square_rad(params.bias_wander_deg_s) / 100.0 * window_s,
             tilt_r: square_rad(params.tilt_noise_deg_s) / window_s,
+            tilt_r_before_rest: square_rad(params.tilt_noise_before_rest_deg_s) / window_s,
             tilt_most: params.tilt_outlier_deg_s.to_radians(),
             rest_r: square_rad(params.rest_noise_deg_s) / window_s,
             field_r: params.field_noise_ut.powi(2) / window_s,

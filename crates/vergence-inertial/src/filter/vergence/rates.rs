@@ -141,6 +141,7 @@ impl Rates {
         &mut self,
         window: &TiltWindow,
         stillness: Stillness,
+        rested_before: bool,
         params: &VergenceParams,
         c: &VergenceCoefficients,
     ) {
@@ -165,7 +166,8 @@ impl Rates {
                 e.observe(&row, rate[i], variance);
             }
         } else {
-            let r = c.tilt_r * (1.0 + params.tilt_noise_per_acc * window.acc_squared / c.window);
+            let noise = if rested_before { c.tilt_r } else { c.tilt_r_before_rest };
+            let r = noise * (1.0 + params.tilt_noise_per_acc * window.acc_squared / c.window);
             let rows = [0, 1].map(|i| rows.fixed_rows::<N>(N * i).into_owned());
             let predicted = Vector2::new(rows[0].dot(&e.x), rows[1].dot(&e.x));
             // What was taken out already, plus what is left: the rate of the tilt's correction.

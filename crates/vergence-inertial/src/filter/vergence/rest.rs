@@ -118,6 +118,11 @@ impl Rest {
         Stillness::Rests { rate: before.map(|rate| (rate, (c.rest_r + self.scatter) / BLOCK)) }
     }
 
+    /// Whether there was a rest since the start.
+    pub(super) const fn found(&self) -> bool {
+        self.found
+    }
+
     fn forget_rest(&mut self) {
         self.still_s = 0.0;
         self.scatter = 0.0;
