@@ -271,6 +271,28 @@ fn plans_differ_as_scenes_do() {
     assert_ne!(small["plan"], room["plan"]);
 }
 
+/// What a shell's `ulimit -f` does is a full disk to the recording, and nothing to the session.
+#[test]
+fn a_recording_that_may_not_grow_takes_nothing_from_the_session() {
+    let Some(data) = vergence_tests::data() else { return };
+    if !vulkan() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let output = Command::new("bash")
+        .args(["-c", "ulimit -f 8; exec \"$0\" \"$@\""])
+        .arg(vergence_tests::vergence())
+        .args(["run".as_ref(), data.join("scenes/gltf/Box.glb").as_os_str()])
+        .args(["--headset", "simulated", "--frames", "40", "--msaa", "1", "--json", "--record"])
+        .arg(folder.path().join("s.mcap"))
+        .output()
+        .expect("bash is there");
+    assert_eq!(output.status.code(), Some(1), "{}", told(&output));
+    let report = vergence_tests::last_object(&String::from_utf8_lossy(&output.stdout)).expect("one object");
+    assert_eq!(report["frames"], 40, "{report}");
+    assert!(report["recording"]["error"].as_str().is_some_and(|error| error.contains("s.mcap")), "{report}");
+}
+
 #[test]
 fn who_has_read_enough_is_not_told_of_a_panic() {
     let mut plan = Command::new(vergence_tests::vergence())

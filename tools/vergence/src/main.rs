@@ -114,8 +114,19 @@ fn end_where_nobody_reads() {
     }));
 }
 
+/// A file that may not grow any more (`ulimit -f`) is a failed write like that to a full disk, which is told; the signal of old
+/// would end the process instead.
+fn live_through_full_files() {
+    // What the handler notes is of no use: that there is one makes the write fail with an error.
+    let noted = std::sync::Arc::default();
+    if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, noted) {
+        ::log::debug!("{error}");
+    }
+}
+
 fn main() -> ExitCode {
     end_where_nobody_reads();
+    live_through_full_files();
     let cli = Cli::parse();
     logging::start(cli.verbose);
     if cli.verbose == 0 && matches!(cli.verb, Verb::Run(_) | Verb::Doctor(_)) {
