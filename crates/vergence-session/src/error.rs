@@ -77,6 +77,15 @@ impl Error {
         )
     }
 
+    /// Whether the graphics device does not finish its work.
+    pub(crate) const fn is_stuck_device(&self) -> bool {
+        matches!(
+            self,
+            Self::Gpu(vergence_gpu::Error::Timeout { .. })
+                | Self::Render(vergence_render::Error::Gpu(vergence_gpu::Error::Timeout { .. }))
+        )
+    }
+
     pub(crate) fn read(path: &std::path::Path) -> impl Fn(std::io::Error) -> Self + '_ {
         move |source| Self::Read { path: path.to_owned(), source }
     }

@@ -9,7 +9,7 @@ use vergence_render::{Attachments, Renderer, Target};
 use vergence_sense::{Event, Hand, Said};
 use vergence_time::{Span, Timestamp};
 use vergence_xr::{Client, Frame, Located, Notice, SessionDesc, State, in_world};
-use vergence_xr_sim::motion::SESSION_BEGINS;
+use vergence_xr_sim::motion::{EXIT_REQUESTED, SESSION_BEGINS};
 
 use crate::book::{self, Book};
 use crate::capture::Picture;
@@ -132,6 +132,12 @@ pub(crate) fn play(run: &mut Run<'_>, chosen: &Chosen) -> Result<End, Error> {
         let Session { renderer, client, .. } = session;
         drop(renderer);
         client.abandon();
+        return ended;
+    }
+    if ended.as_ref().err().is_some_and(Error::is_stuck_device) {
+        // Waiting for all of its work, as everything does that is destroyed, would be waiting for ever.
+        std::mem::forget(run.desk.take());
+        std::mem::forget(session);
         return ended;
     }
     if let Some(desk) = &mut run.desk {
@@ -336,7 +342,8 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
         let closed = run.desk.as_mut().is_some_and(Desk::follow);
         if leaving.is_none() && (closed || is_over(run) || run.config.stop.is_stopped()) {
             if !state.is_running() {
-                // Nothing to say farewell to.
+                // Nothing to say farewell to; where the application left is part of the recording.
+                session.client.tell(|| Said::Event(Event::new(EXIT_REQUESTED, "")));
                 return Ok(End::Over(State::Exiting));
             }
             if let Err(error) = session.client.request_exit() {
@@ -345,7 +352,13 @@ fn frames(run: &mut Run<'_>, session: &mut Session) -> Result<End, Error> {
             }
             leaving = Some(Instant::now());
         }
-        if leaving.is_some_and(|since| since.elapsed() > FAREWELL) {
+        if run.again.as_ref().is_some_and(|again| again.replay.is_run_over()) {
+            // The run went no further: its runtime did not end the session in time.
+            return Ok(End::Over(session.client.state()));
+        }
+        // A replay takes as long as its speed asks for, unless its user has enough of it.
+        let is_hurried = run.again.is_none() || run.config.stop.is_stopped();
+        if is_hurried && leaving.is_some_and(|since| since.elapsed() > FAREWELL) {
             run.say("the runtime did not end the session in time; leaving without its answer");
             return Ok(End::Over(session.client.state()));
         }
@@ -421,6 +434,8 @@ fn attend(run: &mut Run<'_>, session: &mut Session) -> Result<(), Error> {
             | Notice::RefreshRate { .. }
             | Notice::Time(_)
             | Notice::EventsLost(_)
+            | Notice::Nonsense
+            | Notice::LossPending
             | Notice::FrameDiscarded => {}
         }
         log::info!("{notice}");

@@ -208,13 +208,21 @@ impl Recording {
         match said {
             Said::Event(event) => {
                 // A frame that is still open then is never ended.
-                if matches!(&*event.name, SESSION_BEGINS | RUN_ENDED)
-                    && let Some(timing) = self.timing.take()
-                {
-                    let times = Times::new(timing.predicted_display, now);
-                    recorder.write(&self.timings, times, &FrameTiming { ended: false, ..timing });
+                let abandoned = abandons(event).then(|| self.timing.take()).flatten();
+                let abandon = |recorder: &mut Recorder| {
+                    if let Some(timing) = abandoned {
+                        let times = Times::new(timing.predicted_display, now);
+                        recorder.write(&self.timings, times, &FrameTiming { ended: false, ..timing });
+                    }
+                };
+                // That the session stops came while the frame was open; another one, or none, begins behind it.
+                if is_stop(event) {
+                    recorder.write(&self.events, Times::at(now), event);
+                    abandon(recorder);
+                } else {
+                    abandon(recorder);
+                    recorder.write(&self.events, Times::at(now), event);
                 }
-                recorder.write(&self.events, Times::at(now), event);
             }
             Said::Result(result) => recorder.write(&self.results, Times::at(now), result),
             Said::Frame { now, display, period, should_render, raw_display, raw_period } => {
@@ -327,6 +335,16 @@ impl Recording {
     pub(crate) fn close(self) -> (vergence_log::Status, Option<vergence_log::Error>) {
         self.recorder.close()
     }
+}
+
+/// Whether a session stops, with its frames.
+pub(crate) fn is_stop(event: &Event) -> bool {
+    event.name == "session_state" && event.text == "STOPPING"
+}
+
+/// Whether a frame that is open at this event is never ended.
+pub(crate) fn abandons(event: &Event) -> bool {
+    is_stop(event) || matches!(&*event.name, SESSION_BEGINS | RUN_ENDED)
 }
 
 /// What the hash of a picture is of, for readers of the log.

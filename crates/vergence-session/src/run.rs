@@ -9,7 +9,7 @@ use vergence_scene::Scene;
 use vergence_sense::{Event, Said};
 use vergence_time::Timestamp;
 use vergence_xr::{State, Tap};
-use vergence_xr_sim::motion::RUN_ENDED;
+use vergence_xr_sim::motion::{HUNG, RUN_ENDED};
 use vergence_xr_sim::{PoseProvider, Profile, Replay};
 
 use crate::book::Book;
@@ -27,7 +27,7 @@ use crate::place;
 use crate::pose_log::PoseLog;
 use crate::report::RunReport;
 use crate::tally::Tally;
-use crate::verify::{Comparison, HUNG, Verifier};
+use crate::verify::{Comparison, Verifier};
 
 /// How long a real runtime is given to come back after it was lost, seconds.
 const COME_BACK_S: f64 = 10.0;
@@ -228,7 +228,9 @@ fn whole<'a>(
     if let Some(book) = &mut run.book {
         let end = match &result {
             Ok(()) => run.report.state.clone(),
-            Err(Error::Headset(error @ vergence_xr::Error::Hung { .. })) => format!("{HUNG}: {error}"),
+            Err(error @ (Error::Headset(vergence_xr::Error::Hung { .. }) | Error::Stalled { .. })) => {
+                format!("{HUNG}: {error}")
+            }
             Err(error) => format!("failed: {error}"),
         };
         book.hear(&Said::Event(Event { text: end.into(), ..Event::new(RUN_ENDED, "") }));

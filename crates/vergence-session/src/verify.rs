@@ -2,8 +2,9 @@
 
 use serde::Serialize;
 use vergence_sense::Said;
-use vergence_xr_sim::motion::{RUN_ENDED, SESSION_BEGINS};
+use vergence_xr_sim::motion::{HUNG, RUN_ENDED};
 
+use crate::recording::{abandons, is_stop};
 use crate::said_log::Outcome;
 
 /// How a replay compares with its recording. Its JSON is an interface.
@@ -56,9 +57,6 @@ pub(crate) struct Verifier {
     ends_here: bool,
 }
 
-/// How the event [`RUN_ENDED`] begins where the runtime did not answer any more.
-pub(crate) const HUNG: &str = "hung";
-
 fn is_event(said: &Said) -> bool {
     matches!(said, Said::Event(_))
 }
@@ -89,14 +87,21 @@ impl Verifier {
     }
 
     pub(crate) fn hear(&mut self, said: &Said) {
-        let frame_is_lost = is_named(said, SESSION_BEGINS) || is_named(said, RUN_ENDED);
-        if frame_is_lost && std::mem::take(&mut self.in_frame) {
+        let (stops, abandons) = match said {
+            Said::Event(event) => (is_stop(event), abandons(event)),
+            _ => (false, false),
+        };
+        let frame_is_lost = abandons && std::mem::take(&mut self.in_frame);
+        if frame_is_lost && !stops {
             self.compare();
         }
         if !self.has_results && (is_named(said, RUN_ENDED) || matches!(said, Said::Result(_))) {
             return;
         }
         self.heard.push(said.clone());
+        if frame_is_lost && stops {
+            self.compare();
+        }
         match said {
             Said::Frame { .. } => self.in_frame = true,
             Said::Submitted { .. } => {
@@ -275,6 +280,7 @@ mod tests {
     use super::*;
     use vergence_sense::{CallResult, Event, FrameHash};
     use vergence_time::{Span, Timestamp};
+    use vergence_xr_sim::motion::SESSION_BEGINS;
 
     fn frame(display: i64, state: &'static str, hash: u8) -> Vec<Said> {
         let display = Timestamp::from_nanos(display);

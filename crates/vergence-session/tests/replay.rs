@@ -15,7 +15,8 @@ use vergence_geom::{Affine, Rigid};
 use vergence_scene::Scene;
 use vergence_scene::model::{Local, Material, Mesh, Node, Primitive, Shading, Touchable};
 use vergence_session::{
-    Happening, HeadsetChoice, RecordConfig, ReplayConfig, ReplayReport, RunConfig, SessionLog, replay, run,
+    Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, ReplayConfig, ReplayReport, RunConfig,
+    SessionLog, replay, run,
 };
 
 struct Counting;
@@ -267,6 +268,57 @@ fn a_whole_session_is_lived_through_again() {
     let live = ReplayConfig { headset: HeadsetChoice::OpenXr, ..ReplayConfig::default() };
     let refused = replay(&log, &triangle(), &live, &mut |_| {}).unwrap_err();
     assert!(refused.is_wrong_call() && refused.to_string().contains("wall clock"), "{refused}");
+}
+
+/// Where the application leaves is part of the recording, whatever its session was doing: the headset lies on the table, or
+/// the runtime does not answer the farewell.
+#[test]
+fn leaving_without_the_runtime_is_replayed() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let away = "[[headset]]\ntime = \"100 ms\"\npresence = \"away\"";
+    let config = RunConfig { ..bench.config(&script(60_000, away)) };
+    let stop = config.stop.clone();
+    let report = run(&triangle(), &config, &mut |happening| {
+        if matches!(happening, Happening::Said(said) if said.contains("nobody wears")) {
+            stop.stop();
+        }
+    });
+    let report = report.unwrap();
+    assert!(report.frames > 3 && report.state == "exiting", "{report:?}");
+    assert_equal(&bench.replay(None), report.paced);
+
+    let silent = RunConfig {
+        frames: Some(5),
+        faults: FaultPlan::new(vec![Fault::parse("xrPollEvent=EVENT_UNAVAILABLE@14+").unwrap()]),
+        ..bench.config(&script(60_000, ""))
+    };
+    let report = run(&triangle(), &silent, &mut |_| {}).unwrap();
+    assert!(report.notices.iter().any(|said| said.contains("did not end the session in time")), "{report:?}");
+    assert_equal(&bench.replay(None), report.paced);
+}
+
+/// The headset is taken off between waiting for a frame and beginning it, which had failed.
+#[test]
+fn a_frame_that_was_waited_for_when_the_session_stopped_is_replayed() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let away = "[[headset]]\ntime = \"100 ms\"\npresence = \"away\"\n[[headset]]\ntime = \"300 ms\"\npresence = \"focused\"";
+    for call in 1..20 {
+        let fault = format!("xrBeginFrame=ERROR_RUNTIME_FAILURE@{call}");
+        let config = RunConfig {
+            faults: FaultPlan::new(vec![Fault::parse(&fault).unwrap()]),
+            ..bench.config(&script(500, away))
+        };
+        run(&triangle(), &config, &mut |_| {}).unwrap();
+        let again = bench.replay(None);
+        let c = &again.comparison;
+        assert_eq!((c.first_difference.as_ref(), c.frames), (None, c.frames_equal), "{fault}");
+    }
 }
 
 /// A recording that is cut off anywhere is replayed as far as it goes; what is there is equal.

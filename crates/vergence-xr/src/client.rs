@@ -93,6 +93,8 @@ pub struct Client {
     notices: Notices,
     guard: TimeGuard,
     reported_fault: bool,
+    reported_nonsense: bool,
+    reported_loss_pending: bool,
     clock: RuntimeClock,
     host: vergence_time::HostClock,
     viewpoints: Viewpoints,
@@ -164,6 +166,8 @@ impl Client {
             notices: Notices::default(),
             guard: TimeGuard::default(),
             reported_fault: false,
+            reported_nonsense: false,
+            reported_loss_pending: false,
             clock: RuntimeClock::default(),
             host: vergence_time::HostClock::start(),
             viewpoints: Viewpoints::new(pictures.views),
@@ -246,6 +250,9 @@ impl Client {
     /// Where the runtime refuses; losses are states, too.
     pub fn poll(&mut self) -> Result<State, Error> {
         let result = self.poll_events();
+        if self.ear.loss_is_pending() && !std::mem::replace(&mut self.reported_loss_pending, true) {
+            self.notices.push(Notice::LossPending);
+        }
         self.note(result)?;
         Ok(self.state())
     }
@@ -272,6 +279,7 @@ impl Client {
                 }
                 Step::End => {
                     (self.waited, self.begun) = (None, None);
+                    self.ear.abandon_frame();
                     let Self { clock, session, ear, .. } = self;
                     let ended = clock.during(|| session.end());
                     let ended = ear.answer(Call::EndSession, ended);
@@ -398,6 +406,11 @@ impl Client {
         let Self { clock, session, connection, viewpoints, local, ear, .. } = self;
         let located =
             clock.during(|| viewpoints.locate(session, connection.view_configuration, local, time, ear));
+        let is_nonsense = !self.viewpoints.makes_sense();
+        if is_nonsense && !std::mem::replace(&mut self.reported_nonsense, is_nonsense) {
+            self.notices.push(Notice::Nonsense);
+        }
+        self.reported_nonsense = is_nonsense;
         self.note(located)
     }
 

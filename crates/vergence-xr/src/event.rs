@@ -35,6 +35,10 @@ pub enum Notice {
     Time(TimeFault),
     /// The runtime could not keep all its events.
     EventsLost(u32),
+    /// The runtime said poses or fields of view that are none; the last ones stay.
+    Nonsense,
+    /// The runtime says with an answer that the session will be lost.
+    LossPending,
     /// The runtime threw a frame away, because the next one was begun before it ended.
     FrameDiscarded,
 }
@@ -51,6 +55,10 @@ impl std::fmt::Display for Notice {
             }
             Self::Time(fault) => write!(f, "the runtime's {fault}"),
             Self::EventsLost(count) => write!(f, "the runtime lost {count} events"),
+            Self::Nonsense => f.write_str(
+                "the runtime's views: expected poses and fields of view, found something that is none; going on with the last ones",
+            ),
+            Self::LossPending => f.write_str("the runtime says that the session will be lost"),
             Self::FrameDiscarded => f.write_str("the runtime threw a frame away that had not ended"),
         }
     }

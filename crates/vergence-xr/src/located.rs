@@ -51,11 +51,18 @@ impl Located {
 pub(crate) struct Viewpoints {
     count: usize,
     last: Option<Located>,
+    /// What was said last were poses and fields of view, wherever it claimed to be.
+    makes_sense: bool,
 }
 
 impl Viewpoints {
     pub(crate) fn new(count: u32) -> Self {
-        Self { count: (count as usize).min(Located::MOST_VIEWS), last: None }
+        Self { count: (count as usize).min(Located::MOST_VIEWS), last: None, makes_sense: true }
+    }
+
+    /// Whether what the runtime said last were poses and fields of view, wherever it claimed that they are.
+    pub(crate) const fn makes_sense(&self) -> bool {
+        self.makes_sense
     }
 
     pub(crate) fn locate(
@@ -111,6 +118,7 @@ impl Viewpoints {
         mut raw: [(Posef, Fovf); Located::MOST_VIEWS],
     ) -> Option<Located> {
         let last = self.last;
+        self.makes_sense = true;
         let mut position_tracking = Tracking::Measured;
         let mut orientation_tracking = Tracking::Measured;
         let still = View {
@@ -120,6 +128,11 @@ impl Viewpoints {
         let mut views = [still; Located::MOST_VIEWS];
         for (index, ((pose, fov), view)) in raw.iter_mut().zip(&mut views).take(self.count).enumerate() {
             let said = convert::view_pose(flags, pose);
+            let is_said = |flag, found: Tracking| !flags.contains(flag) || found != Tracking::Lost;
+            let is_seen = convert::fov(fov).is_some() || !flags.contains(ViewStateFlags::ORIENTATION_VALID);
+            self.makes_sense &= is_seen
+                && is_said(ViewStateFlags::POSITION_VALID, said.position_tracking)
+                && is_said(ViewStateFlags::ORIENTATION_VALID, said.orientation_tracking);
             position_tracking = worse(position_tracking, said.position_tracking);
             orientation_tracking = worse(orientation_tracking, said.orientation_tracking);
             let known = last.map(|last| last.raw(index));

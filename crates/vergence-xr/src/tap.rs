@@ -77,6 +77,8 @@ pub(crate) struct Ear {
     counts: [u32; HEARD_CALLS.len()],
     /// A frame was waited for and not yet handed over.
     in_frame: bool,
+    /// A call succeeded with the word that the session will be lost.
+    loss_is_pending: bool,
 }
 
 impl Ear {
@@ -96,6 +98,15 @@ impl Ear {
         }
     }
 
+    pub(crate) const fn loss_is_pending(&self) -> bool {
+        self.loss_is_pending
+    }
+
+    /// The frame that was waited for is not handed over any more: the session stops.
+    pub(crate) fn abandon_frame(&mut self) {
+        self.in_frame = false;
+    }
+
     /// From here on calls are counted anew: a frame was waited for.
     pub(crate) fn next_frame(&mut self) {
         self.counts = [0; HEARD_CALLS.len()];
@@ -110,6 +121,7 @@ impl Ear {
 
     /// The answer of a raw call, which is heard where it is anything but success: a success, also a qualified one.
     pub(crate) fn check(&mut self, call: Call, result: sys::Result) -> Result<sys::Result, Error> {
+        self.loss_is_pending |= result == sys::Result::SESSION_LOSS_PENDING;
         self.count(call, Some(result).filter(|result| *result != sys::Result::SUCCESS));
         check(call.name(), result)
     }

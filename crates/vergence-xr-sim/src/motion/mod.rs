@@ -18,7 +18,7 @@ use crate::Error;
 
 pub use file::{BUILT_IN_MOTIONS, Motion};
 pub use hand::{BONES_MM, HandPose};
-pub use replay::{EXIT_REQUESTED, RUN_ENDED, Replay, SESSION_BEGINS};
+pub use replay::{EXIT_REQUESTED, HUNG, RUN_ENDED, Replay, SESSION_BEGINS};
 pub(crate) use replay::{Next, result_of};
 pub use script::{Part, Script};
 pub use still::Still;

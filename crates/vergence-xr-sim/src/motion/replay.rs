@@ -20,6 +20,8 @@ pub const SESSION_BEGINS: &str = "session_begins";
 pub const EXIT_REQUESTED: &str = "exit_requested";
 /// Marks, among the events of a recording, where the run was over, and says how.
 pub const RUN_ENDED: &str = "run_ended";
+/// How the text of [`RUN_ENDED`] begins where the runtime did not answer any more, or gave no frames.
+pub const HUNG: &str = "hung";
 /// The call whose results stand among the events, where they came; those of other calls are found by their number.
 const POLL: &str = "xrPollEvent";
 
@@ -156,6 +158,14 @@ impl Replay {
         }
     }
 
+    /// Whether the run was over here without the runtime's doing. Of one whose runtime hung, nothing is known.
+    pub fn is_run_over(&self) -> bool {
+        let inner = &mut *self.lock();
+        inner.enter_session();
+        let ends = |event: &Event| event.name == RUN_ENDED && is_left_to_the_application(event);
+        !inner.exhausted && matches!(inner.pending(), Some((_, Said::Event(event))) if ends(event))
+    }
+
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -178,6 +188,8 @@ impl Replay {
         inner.pass_own_events();
         match inner.pending() {
             Some((_, Said::Event(event))) if event.name == SESSION_BEGINS => Next::Lost,
+            // The application finds these by itself, before it asks for anything else.
+            Some((_, Said::Event(event))) if is_left_to_the_application(event) => Next::Frame,
             Some((place, Said::Event(event))) => {
                 let event = event.clone();
                 inner.give(place);
@@ -303,6 +315,11 @@ impl Replay {
     }
 }
 
+/// That the application asked for the end, or that the run was over though the runtime answered.
+fn is_left_to_the_application(event: &Event) -> bool {
+    event.name == EXIT_REQUESTED || (event.name == RUN_ENDED && !event.text.starts_with(HUNG))
+}
+
 /// Where something stands that was said.
 #[derive(Clone, Copy)]
 enum Place {
@@ -349,10 +366,11 @@ impl Inner {
         })
     }
 
-    /// Passes over events that the application makes by itself.
+    /// Passes over events that the application makes by itself, meanwhile.
     fn pass_own_events(&mut self) {
         while let Some((place, Said::Event(event))) = self.pending()
-            && matches!(&*event.name, EXIT_REQUESTED | RUN_ENDED | "time_fault" | "time_rebased")
+            && (matches!(&*event.name, "time_fault" | "time_rebased")
+                || (event.name == RUN_ENDED && !is_left_to_the_application(event)))
         {
             self.give(place);
         }
