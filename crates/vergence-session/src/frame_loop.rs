@@ -8,7 +8,7 @@ use vergence_gpu as gpu;
 use vergence_render::{Attachments, Renderer, Target};
 use vergence_sense::{Event, Hand, Said};
 use vergence_time::{Span, Timestamp};
-use vergence_xr::{Client, Frame, Located, Notice, SessionDesc, State, in_world};
+use vergence_xr::{Client, Frame, Located, Notice, SessionDesc, State, TakenTimes, Without, in_world};
 use vergence_xr_sim::motion::{EXIT_REQUESTED, SESSION_BEGINS};
 
 use crate::book::{self, Book};
@@ -189,8 +189,16 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
             eye_gaze: run.config.eye_gaze,
             refresh_rate_hz: run.config.refresh_rate_hz,
             wait_patience: Duration::try_from_secs_f64(run.config.hang_s).unwrap_or(Duration::MAX),
+            without: run.again.as_ref().map_or(Without::default(), |again| again.without),
         },
     )?;
+    if let Some(again) = &run.again {
+        let replay = again.replay.clone();
+        client.go_by(move || {
+            let (display, period, is_faulty, rebased) = replay.taken_times()?;
+            Some(TakenTimes { display, period, is_faulty, rebased })
+        });
+    }
     let pictures = client.pictures();
     let target = Target {
         color_format: pictures.color_format,

@@ -102,12 +102,20 @@ impl Recording {
         };
         let hand_joints = has(run.config.hand_joints, chosen.profile.hands, client.reads_hand_joints());
         let eye_gaze = has(run.config.eye_gaze, chosen.profile.gaze, client.reads_gaze());
+        let mut profile = chosen.profile.clone();
+        if let (false, Some(rate)) = (chosen.is_simulated, client.refresh_rate_hz()) {
+            // What it was asked for, or had; its others are of no use to a replay.
+            profile.rates_hz = vec![f64::from(rate)];
+        }
         let resolved = Resolved {
             hash_frames: hashes,
             build: if hashes { provenance::build() } else { String::new() },
             hand_joints,
             eye_gaze,
-            ..Resolved::of(&run.config, &chosen.profile, chosen.is_simulated, actions)
+            without_clock: client.without().clock,
+            without_floor: client.without().floor,
+            views: client.pictures().views,
+            ..Resolved::of(&run.config, &profile, chosen.is_simulated, actions)
         };
         let is_virtual = resolved.simulated && !resolved.real_time;
         let configuration =

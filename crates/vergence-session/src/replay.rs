@@ -10,6 +10,7 @@ use vergence_action::{Control, POINT_AND_GRASP};
 use vergence_log::{Ending, Header, Reader};
 use vergence_scene::Scene;
 use vergence_sense::Said;
+use vergence_xr::Without;
 use vergence_xr_sim::motion::{Part, SESSION_BEGINS};
 use vergence_xr_sim::{Fault, FaultPlan, Replay, Script};
 
@@ -251,6 +252,13 @@ pub fn replay(
     if let Some(speed) = config.speed.filter(|speed| !(*speed > 0.0 && speed.is_finite())) {
         return Err(Error::Call(format!("--speed: expected max or a positive number, found {speed}")));
     }
+    if log.resolved.views != 2 {
+        return Err(Error::Call(format!(
+            "{}: expected a session with two views, as the simulated headset has, found {}",
+            log.path.display(),
+            log.resolved.views
+        )));
+    }
     log.check_scene(scene)?;
     log.check_beginning()?;
     let faults = log.resolved.faults.iter().map(|text| Fault::parse(text)).collect::<Result<Vec<_>, _>>()?;
@@ -260,6 +268,7 @@ pub fn replay(
     let again = Again {
         replay,
         profile: log.resolved.profile.profile(),
+        without: Without { clock: log.resolved.without_clock, floor: log.resolved.without_floor },
         hash: config.verify && log.resolved.hash_frames,
         verifier: expected.map(|expected| {
             let (log, compared) = (log.clone(), compared.clone());

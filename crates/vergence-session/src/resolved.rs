@@ -36,8 +36,21 @@ pub(crate) struct Resolved {
     /// What the simulated headset did wrong while sessions were made, which the recording does not hear: faults as text.
     #[serde(default)]
     pub(crate) faults: Vec<String>,
+    /// What another runtime lacked; the simulated headset lacks nothing of it.
+    #[serde(default)]
+    pub(crate) without_clock: bool,
+    /// As above.
+    #[serde(default)]
+    pub(crate) without_floor: bool,
+    /// Views of a frame.
+    #[serde(default = "two")]
+    pub(crate) views: u32,
     /// What the vergence that recorded was built from.
     pub(crate) build: String,
+}
+
+const fn two() -> u32 {
+    2
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -181,6 +194,9 @@ impl Resolved {
             actions,
             hash_frames: false,
             has_results: true,
+            without_clock: false,
+            without_floor: false,
+            views: 2,
             faults: config
                 .faults
                 .faults()

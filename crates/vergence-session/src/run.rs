@@ -8,7 +8,7 @@ use vergence_plan::{Plan, Requests};
 use vergence_scene::Scene;
 use vergence_sense::{Event, Said};
 use vergence_time::Timestamp;
-use vergence_xr::{State, Tap};
+use vergence_xr::{State, Tap, Without};
 use vergence_xr_sim::motion::{HUNG, RUN_ENDED};
 use vergence_xr_sim::{PoseProvider, Profile, Replay};
 
@@ -93,6 +93,8 @@ pub(crate) struct Again {
     pub(crate) replay: Replay,
     /// The headset of the recording.
     pub(crate) profile: Profile,
+    /// What its runtime lacked.
+    pub(crate) without: Without,
     /// Whether pictures are hashed.
     pub(crate) hash: bool,
     /// Makes the comparison once it is known on which device; `None` where none is asked for.

@@ -300,6 +300,30 @@ fn leaving_without_the_runtime_is_replayed() {
     assert_equal(&bench.replay(None), report.paced);
 }
 
+/// Where the runtime's clock cannot be read, what passed is the host's time: a replay goes by what was taken then.
+#[test]
+fn times_that_the_host_measured_are_replayed() {
+    if !has_vulkan() {
+        return;
+    }
+    let bench = Bench::new();
+    let faults = ["xrConvertTimespecTimeToTimeKHR=ERROR_RUNTIME_FAILURE", "xrWaitFrame=TIME_NEGATIVE@12-15"];
+    let config = RunConfig {
+        frames: Some(30),
+        faults: FaultPlan::new(faults.iter().map(|fault| Fault::parse(fault).unwrap())),
+        ..bench.config(&script(60_000, ""))
+    };
+    // Each frame takes its time, so that what is taken is no whole number of periods.
+    let mut slow = |happening: Happening<'_>| {
+        if let Happening::Frame { .. } = happening {
+            std::thread::sleep(std::time::Duration::from_millis(15));
+        }
+    };
+    let report = run(&triangle(), &config, &mut slow).unwrap();
+    assert!(report.notices.iter().any(|said| said.contains("predicted display time")), "{report:?}");
+    assert_equal(&bench.replay(None), report.paced);
+}
+
 /// The headset is taken off between waiting for a frame and beginning it, which had failed.
 #[test]
 fn a_frame_that_was_waited_for_when_the_session_stopped_is_replayed() {

@@ -46,6 +46,31 @@ pub struct SessionDesc<'a> {
     pub refresh_rate_hz: Option<f32>,
     /// How long `xrWaitFrame` may take until the runtime is taken for hung. Default 10 s.
     pub wait_patience: Duration,
+    /// What is done without although the runtime may have it.
+    pub without: Without,
+}
+
+/// What a runtime need not have. A recorded session whose runtime had none of it is lived through again without it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Without {
+    /// The runtime's own clock is not read.
+    pub clock: bool,
+    /// The floor is not looked for.
+    pub floor: bool,
+}
+
+/// What an earlier session went by in a frame for which the runtime's clock could not be read: the time that passed was the
+/// host's then.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TakenTimes {
+    /// When the frame was taken to be shown, on the runtime's clock.
+    pub display: Timestamp,
+    /// The time between frames.
+    pub period: Span,
+    /// The runtime's own times were not believed.
+    pub is_faulty: bool,
+    /// The runtime was believed anew.
+    pub rebased: bool,
 }
 
 /// A runtime that paces frames answers within a second, one that is busy with itself within a few.
@@ -62,6 +87,7 @@ impl<'a> SessionDesc<'a> {
             eye_gaze: false,
             refresh_rate_hz: None,
             wait_patience: WAIT_PATIENCE,
+            without: Without { clock: false, floor: false },
         }
     }
 }
@@ -100,6 +126,8 @@ pub struct Client {
     viewpoints: Viewpoints,
     pictures: Pictures,
     near_m: f64,
+    reads_clock: bool,
+    taken_times: Option<Box<dyn FnMut() -> Option<TakenTimes> + Send>>,
     /// Waited for, not begun: a frame that could not be begun is not waited for again.
     waited: Option<Frame>,
     /// Begun, not ended.
@@ -152,7 +180,7 @@ impl Client {
             unsafe { enumerate(session.as_raw(), capacity, count, items) }
         })?;
         let floor_kinds = [openxr::ReferenceSpaceType::LOCAL_FLOOR, openxr::ReferenceSpaceType::STAGE];
-        let floor_kind = floor_kinds.into_iter().find(|&kind| {
+        let floor_kind = floor_kinds.into_iter().filter(|_| !desc.without.floor).find(|&kind| {
             let may_ask = kind != openxr::ReferenceSpaceType::LOCAL_FLOOR
                 || connection.has("XR_EXT_local_floor")
                 || connection.description().api == "1.1";
@@ -173,6 +201,8 @@ impl Client {
             viewpoints: Viewpoints::new(pictures.views),
             pictures,
             near_m: desc.near_m,
+            reads_clock: connection.has_clock() && !desc.without.clock,
+            taken_times: None,
             waited: None,
             begun: None,
             latest: None,
@@ -221,6 +251,16 @@ impl Client {
     /// The driver of the device that draws, with its version.
     pub fn driver(&self) -> &str {
         &self.device.limits().driver
+    }
+
+    /// What this session does without.
+    pub fn without(&self) -> Without {
+        Without { clock: !self.reads_clock, floor: self.floor.is_none() }
+    }
+
+    /// From now on frames for which the runtime's clock cannot be read go by what `times` says of the frame that was waited for.
+    pub fn go_by(&mut self, times: impl FnMut() -> Option<TakenTimes> + Send + 'static) {
+        self.taken_times = Some(Box::new(times));
     }
 
     /// From now on `tap` hears what every call of this session says.
@@ -342,12 +382,17 @@ impl Client {
         let waited = self.waiter.wait().and_then(|answer| self.ear.answer(Call::WaitFrame, answer));
         let state = self.note(waited)?;
         self.ear.next_frame();
-        let clock_said = self.clock.during(|| self.connection.now());
+        let clock_said = if self.reads_clock { self.clock.during(|| self.connection.now()) } else { None };
         let runtime_now = clock_said.and_then(Result::ok);
         let raw_display = Timestamp::from_nanos(state.predicted_display_time.as_nanos());
         let raw_period = Span::from_nanos(state.predicted_display_period.as_nanos());
         let host_now = vergence_time::Clock::now(&self.host);
-        let prediction = self.guard.check(raw_display, raw_period, host_now, runtime_now);
+        let mut prediction = self.guard.check(raw_display, raw_period, host_now, runtime_now);
+        if runtime_now.is_none()
+            && let Some(taken) = self.taken_times.as_mut().and_then(|times| times())
+        {
+            prediction = self.guard.take(prediction, &taken, raw_display);
+        }
         if let Some(fault) = prediction.fault
             && !self.reported_fault
         {

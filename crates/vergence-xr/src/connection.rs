@@ -155,9 +155,14 @@ impl Connection {
         result == sys::Result::SUCCESS && gaze.supports_eye_gaze_interaction != sys::FALSE
     }
 
+    /// Whether the runtime's clock can be read.
+    pub(crate) fn has_clock(&self) -> bool {
+        self.has("XR_KHR_convert_timespec_time")
+    }
+
     /// The runtime's clock, where it can be read.
     pub(crate) fn now(&self) -> Option<Result<vergence_time::Timestamp, openxr::sys::Result>> {
-        if !self.has("XR_KHR_convert_timespec_time") {
+        if !self.has_clock() {
             return None;
         }
         let now = self.instance.now();

@@ -21,7 +21,7 @@ mod time_guard;
 mod vulkan;
 mod waiter;
 
-pub use client::{Attachments, Client, Frame, SessionDesc};
+pub use client::{Attachments, Client, Frame, SessionDesc, TakenTimes, Without};
 pub use connection::{Connection, Description, EmbeddedRuntime, ViewSize, Way};
 pub use error::Error;
 pub use event::Notice;

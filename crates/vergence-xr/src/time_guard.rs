@@ -4,6 +4,8 @@
 
 use vergence_time::{Span, Timestamp};
 
+use crate::client::TakenTimes;
+
 /// Shortest period that is believed: 2 kHz.
 const SHORTEST_PERIOD: Span = Span::from_nanos(500_000);
 /// Longest period that is believed. Null compositors run at 20 Hz and count late frames as longer periods.
@@ -124,6 +126,22 @@ impl TimeGuard {
         self.last = Some((guarded, clocks));
         self.last_raw = Some(display);
         Prediction { display: guarded, period: self.period, fault: time_fault.or(fault), rebased }
+    }
+
+    /// Goes by what an earlier session went by, in place of the prediction that was just made.
+    pub(crate) fn take(
+        &mut self,
+        made: Prediction,
+        taken: &TakenTimes,
+        raw_display: Timestamp,
+    ) -> Prediction {
+        let TakenTimes { display, period, is_faulty, rebased } = *taken;
+        if let Some((last, _)) = &mut self.last {
+            *last = display;
+        }
+        self.period = period;
+        let fault = is_faulty.then(|| made.fault.unwrap_or(TimeFault::NotLater(raw_display)));
+        Prediction { display, period, fault, rebased }
     }
 
     /// Whether a time is possible by itself and follows what the runtime said before as frames do.

@@ -166,6 +166,22 @@ impl Replay {
         !inner.exhausted && matches!(inner.pending(), Some((_, Said::Event(event))) if ends(event))
     }
 
+    /// What the application went by in the frame that was waited for last: when it is shown, the time between frames, whether
+    /// the runtime's times were not believed, and whether they were believed anew.
+    pub fn taken_times(&self) -> Option<(Timestamp, Span, bool, bool)> {
+        let inner = self.lock();
+        let frame = |said: &Said| match *said {
+            Said::Frame { display, period, .. } => Some((display, period)),
+            _ => None,
+        };
+        let (display, period) = inner.current.said.iter().find_map(frame)?;
+        let before = inner.current.said.iter().take_while(|said| !matches!(said, Said::Frame { .. }));
+        let named =
+            |name: &str| before.clone().any(|said| matches!(said, Said::Event(event) if event.name == name));
+        let (is_faulty, rebased) = (named("time_fault"), named("time_rebased"));
+        Some((display, period, is_faulty, rebased))
+    }
+
     fn lock(&self) -> MutexGuard<'_, Inner> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
