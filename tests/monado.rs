@@ -50,7 +50,9 @@ fn a_scene_runs_on_monado_to_focused_and_ends_cleanly() {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder for the run");
-    let mut run = vergence_run(Driver::Simulated, folder.path(), &["--frames", "100"]);
+    let log = folder.path().join("session.mcap");
+    let extra = ["--frames", "100", "--record", log.to_str().expect("a path in UTF-8")];
+    let mut run = vergence_run(Driver::Simulated, folder.path(), &extra);
     let status = run.wait(PATIENCE);
     assert!(status.success(), "{status}\n{}", run.story());
 
@@ -97,6 +99,19 @@ fn a_scene_runs_on_monado_to_focused_and_ends_cleanly() {
     assert!(states.iter().any(|state| state.contains("focused")), "never focused: {states:?}");
     assert!(report["state"].to_string().to_lowercase().contains("exiting"), "{report}");
     assert_eq!(run.complaints(), Vec::<String>::new());
+
+    // What another runtime said is lived through again on ours.
+    let replay = std::process::Command::new(vergence_tests::vergence())
+        .args(["replay".as_ref(), log.as_os_str(), "--verify".as_ref(), "--json".as_ref()])
+        .output()
+        .expect("the vergence binary starts");
+    let stderr = String::from_utf8_lossy(&replay.stderr);
+    let again = vergence_tests::last_object(&String::from_utf8_lossy(&replay.stdout))
+        .unwrap_or_else(|| panic!("no JSON object\n{stderr}"));
+    assert!(replay.status.success(), "{again}\n{stderr}");
+    assert_eq!(again["frames"], again["frames_equal"], "{again}");
+    assert_eq!(again["events"], again["events_equal"], "{again}");
+    assert!(again["frames"].as_u64() >= Some(100) && again["first_difference"].is_null(), "{again}");
 }
 
 /// Quaternion x, y, z, w of a turn about an axis.
