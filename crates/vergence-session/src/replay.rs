@@ -182,6 +182,8 @@ impl SessionLog {
         let script = Script::of_session(self.frames(&outcome)?, &parts);
         if let Some(error) = outcome.trouble() {
             log::warn!("{error}; going on with what is before that");
+        } else if !outcome.is_complete() {
+            log::warn!("{}: was cut off; its motion ends there", self.path.display());
         }
         Ok(script)
     }
