@@ -106,9 +106,19 @@ fn three_hundred_frames_of_the_colonnade_replay_equal() {
         bench.record(&data.join("scenes/gltf/colonnade.glb"), "user.toml", "walk.mcap", &["--frames", "300"]);
     assert_eq!((&run["frames"], &run["recording"]["dropped"]), (&300.into(), &0.into()), "{run}");
     let log = bench.path("walk.mcap");
-    let report = object(&["replay", &log, "--verify", "--json", "--speed", "max"], 0);
-    assert_equal(&report, 300);
-    assert_eq!(report["images"], 600, "{report}");
+    let verify = |speed: &str| {
+        let report = object(&["replay", &log, "--verify", "--json", "--speed", speed], 0);
+        assert_equal(&report, 300);
+        assert_eq!(report["images"], 600, "{report}");
+    };
+    verify("max");
+    // As it was recorded, and as fast as it goes, while both cores have more to do than they can.
+    std::thread::scope(|scope| {
+        for speed in ["1", "max", "max"] {
+            let verify = &verify;
+            scope.spawn(move || verify(speed));
+        }
+    });
 
     // The recording is not of another scene, and a real headset keeps to the wall clock.
     let scene = room();
