@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -13,14 +14,19 @@ use gilrs::ff::{BaseEffect, BaseEffectType, Effect, EffectBuilder, Repeat, Repla
 use gilrs::{GamepadId, Gilrs, GilrsBuilder, LinuxGamepadExt};
 use vergence_time::Span;
 
-use super::node::{NO_UDEV, gilrs_finds_pads, nodes};
+use super::node::{NO_UDEV, gilrs_finds_pads, nodes, present};
 use crate::error::Error;
 use crate::found::Found;
 
 /// Pads that come and go are seen this often.
-const TURN: Duration = Duration::from_millis(20);
+const TURN: Duration = Duration::from_millis(50);
+/// Nodes that came are left alone for so long: gilrs asks a pad for its motors once, when it hears of it, and says nothing where that
+/// fails, as it does while uinput has made the node and takes no effects yet.
+const SETTLE: Duration = Duration::from_millis(300);
 /// gilrs hears of a pad that was just plugged in after less than this.
-const PATIENCE: Duration = Duration::from_millis(1000);
+const PATIENCE: Duration = Duration::from_millis(2000);
+/// A pad that is used is not waited for.
+const MOST_EVENTS: usize = 1024;
 /// gilrs counts time in these.
 const TICK_MS: u32 = 50;
 /// As long as the kernel can say.
@@ -131,6 +137,9 @@ struct Motors {
     gilrs: Option<Gilrs>,
     effects: BTreeMap<u64, Effect>,
     last: u64,
+    /// The nodes that there are, and since when these.
+    present: BTreeMap<String, PathBuf>,
+    since: Option<Instant>,
 }
 
 static MOTORS: Mutex<Option<Sender<Job>>> = Mutex::new(None);
@@ -167,7 +176,20 @@ fn run(jobs: &Receiver<Job>) {
 }
 
 impl Motors {
+    /// Whether no node has come or gone for a while.
+    fn is_settled(&mut self) -> bool {
+        let present = present();
+        if present != self.present {
+            self.present = present;
+            self.since = None;
+        }
+        self.since.get_or_insert_with(Instant::now).elapsed() >= SETTLE
+    }
+
     fn build(&mut self) {
+        while !self.is_settled() {
+            std::thread::sleep(TURN);
+        }
         self.effects.clear();
         self.gilrs = None;
         let builder = GilrsBuilder::new()
@@ -180,13 +202,17 @@ impl Motors {
         }
     }
 
-    /// Lets gilrs hear who came and went.
-    fn follow(&mut self) {
-        // A pad that is used is not waited for.
-        let until = Instant::now() + TURN;
-        while Instant::now() < until && self.gilrs.as_mut().is_some_and(|gilrs| gilrs.next_event().is_some())
-        {
+    /// Lets gilrs hear who came and went; whether it is time for that.
+    fn follow(&mut self) -> bool {
+        if !self.is_settled() {
+            return false;
         }
+        for _ in 0..MOST_EVENTS {
+            if self.gilrs.as_mut().is_none_or(|gilrs| gilrs.next_event().is_none()) {
+                break;
+            }
+        }
+        true
     }
 
     fn listed(&self, path: &str) -> Option<GamepadId> {
@@ -198,8 +224,8 @@ impl Motors {
     fn find(&mut self, path: &str) -> Option<GamepadId> {
         let start = Instant::now();
         loop {
-            self.follow();
-            let listed = self.listed(path);
+            // What is listed before may be a pad that is gone, whose node another one has now.
+            let listed = if self.follow() { self.listed(path) } else { None };
             if listed.is_some() {
                 return listed;
             }

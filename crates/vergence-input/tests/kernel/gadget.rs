@@ -76,7 +76,24 @@ fn opened(path: &str) -> fs::File {
     }
 }
 
-fn numbers(source: &Clocked, samples: &Samples, name: &str) -> Vec<u32> {
+/// A description, and frames of a millisecond each with their numbers.
+pub(crate) fn numbered_frames(count: u32) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let description = b"\x01number scalar u32";
+    Frame { stream: 0, sequence: 0, time_us: 0, payload: description }.encode(&mut bytes);
+    for number in 0..count {
+        let (sequence, payload) = ((number + 1) as u16, number.to_le_bytes());
+        Frame { stream: 1, sequence, time_us: number * 1000, payload: &payload }.encode(&mut bytes);
+    }
+    bytes
+}
+
+/// Whether the last but few of these is the reading with the last number.
+pub(crate) fn is_last(samples: &Samples, count: u32) -> bool {
+    samples.iter().rev().take(3).any(|(_, s)| s.value == Reading::Scalar(Scalar(f64::from(count - 1))))
+}
+
+pub(crate) fn numbers(source: &Clocked, samples: &Samples, name: &str) -> Vec<u32> {
     let values = of(source, samples, name).into_iter();
     values
         .filter_map(
@@ -104,21 +121,10 @@ pub(crate) fn composite() {
     assert!(raw.is_ok_and(|status| status.success()), "stty");
     let writer = std::thread::spawn(|| {
         let mut port = opened("/dev/ttyGS0");
-        let mut bytes = Vec::new();
-        let description = b"\x01number scalar u32";
-        Frame { stream: 0, sequence: 0, time_us: 0, payload: description }.encode(&mut bytes);
-        for number in 0..COUNT {
-            let payload = number.to_le_bytes();
-            let sequence = (number + 1) as u16;
-            Frame { stream: 1, sequence, time_us: number * 1000, payload: &payload }.encode(&mut bytes);
-        }
-        port.write_all(&bytes).expect("written");
+        port.write_all(&numbered_frames(COUNT)).expect("written");
         port
     });
-    let is_last = |samples: &Samples| {
-        samples.iter().rev().take(3).any(|(_, s)| s.value == Reading::Scalar(Scalar(f64::from(COUNT - 1))))
-    };
-    let samples = read(&mut serial, is_last);
+    let samples = read(&mut serial, |samples| is_last(samples, COUNT));
     assert_eq!(numbers(&serial, &samples, "number"), (0..COUNT).collect::<Vec<_>>());
     assert!(!has_event(&samples, "gap"));
     let device_end = writer.join().expect("no panic");
@@ -140,7 +146,7 @@ pub(crate) fn composite() {
     });
     let samples = read(&mut hid, |samples| {
         taken.store(samples.len() as u32, Ordering::Relaxed);
-        is_last(samples)
+        is_last(samples, COUNT)
     });
     writer.join().expect("no panic");
     assert_eq!(numbers(&hid, &samples, "number"), (0..COUNT).collect::<Vec<_>>());

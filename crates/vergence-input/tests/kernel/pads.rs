@@ -281,8 +281,20 @@ pub(crate) fn goes_and_comes_back() {
 /// Magnitudes of an effect that is loaded, or that one is played.
 type Told = Option<(u16, u16)>;
 
-/// A pad whose motors are answered for, until it is told to vanish.
-fn answered() -> (mpsc::Receiver<Told>, impl FnOnce()) {
+/// A pad whose motors are answered for. It vanishes when it is dropped, also where a scene fails.
+struct Answered {
+    over: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Drop for Answered {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(std::thread::JoinHandle::join);
+    }
+}
+
+fn answered() -> (mpsc::Receiver<Told>, Answered) {
     let mut pad = xbox_with_motors();
     let over = Arc::new(AtomicBool::new(false));
     let (told, heard) = mpsc::channel();
@@ -322,11 +334,7 @@ fn answered() -> (mpsc::Receiver<Told>, impl FnOnce()) {
             }
         }
     });
-    let vanish = move || {
-        over.store(true, Ordering::Relaxed);
-        thread.join().expect("no panic");
-    };
-    (heard, vanish)
+    (heard, Answered { over, thread: Some(thread) })
 }
 
 /// Waits until these magnitudes are loaded and played; gilrs loads and plays all the time.
@@ -347,7 +355,7 @@ pub(crate) fn rumble() {
     assert!(matches!(Rumble::open(&device), Err(Error::Open { .. })), "none that gilrs knows");
     drop(quiet);
     found("gamepad", 0);
-    let (heard, vanish) = answered();
+    let (heard, pad) = answered();
     let device = found("gamepad", 1).remove(0);
     let mut motors = Rumble::open(&device).expect("a pad with motors");
     motors.play(1.0, 0.5, Span::from_millis(200)).expect("played");
@@ -363,7 +371,7 @@ pub(crate) fn rumble() {
     wait_played(&heard, 0, 0);
     // One that vanishes while it is held.
     let mut held = Rumble::open(&device).expect("a pad with motors");
-    vanish();
+    drop(pad);
     assert!(matches!(held.play(1.0, 1.0, Span::from_millis(10)), Err(Error::Gone { .. })));
     found("gamepad", 0);
     assert!(matches!(Rumble::open(&device), Err(Error::Gone { .. })), "it vanished");
