@@ -15,6 +15,7 @@ use crate::book::{self, Book};
 use crate::capture::Picture;
 use crate::desk::Desk;
 use crate::error::{Error, with_cause};
+use crate::foresight;
 use crate::guest::{self, Stage};
 use crate::headset::Chosen;
 use crate::markers::Markers;
@@ -199,6 +200,7 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
             Some(TakenTimes { display, period, is_faulty, rebased })
         });
     }
+    client.foretell(foresight::history());
     let pictures = client.pictures();
     let target = Target {
         color_format: pictures.color_format,
@@ -510,6 +512,7 @@ fn attempt(run: &mut Run<'_>, session: &mut Session, began: OurCpu, leaving: boo
         if let Some(beside) = &mut run.beside {
             beside.rebase();
         }
+        session.client.forget_motion();
     }
     if leaving || !frame.should_render {
         if !leaving && session.client.state() == (State::Running { visible: true, focused: true }) {
@@ -631,6 +634,7 @@ fn follow_user(
     let display = frame.prediction.display;
     if let Some(moves) = session.recentring.filter(|moves| moves.first <= display) {
         session.world_from_local = None;
+        session.client.forget_motion();
         if let Some(touching) = &mut session.touching {
             touching.recentred();
         }

@@ -8,6 +8,7 @@ mod config;
 mod cost;
 mod desk;
 mod error;
+mod foresight;
 mod frame_loop;
 mod guest;
 mod headset;

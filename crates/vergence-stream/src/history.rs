@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use vergence_geom::{exp, log, slerp};
+use vergence_geom::{Rigid, exp, log, slerp};
 use vergence_sense::{Pose, Tracking, Velocity};
 use vergence_time::{Span, Timestamp};
 
@@ -45,6 +45,18 @@ pub enum How {
     Lost,
 }
 
+/// Says where a device will be, from the readings so far: what a [`PoseHistory`] asks beyond its last one.
+pub trait Ahead: std::fmt::Debug + Send {
+    /// At `at`, later than any before, the device was here; with its velocity, in reference coordinates, where it said it.
+    fn observe(&mut self, at: Timestamp, reference_from_device: &Rigid, velocity: Option<&Velocity>);
+
+    /// Where it will be at `instant`, after the last observation; `None` where nothing was observed.
+    fn at(&self, instant: Timestamp) -> Option<Rigid>;
+
+    /// Forgets everything.
+    fn clear(&mut self);
+}
+
 /// A pose and how it is known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Answer {
@@ -72,18 +84,25 @@ struct Reading {
     velocity: Option<Velocity>,
 }
 
-/// The last readings of one device. Takes and answers without allocating; an answer costs a binary search.
-#[derive(Clone, Debug)]
+/// The last readings of one device. Takes and answers without allocating; an answer costs a binary search. Ahead of the last
+/// reading it answers by the velocity (the device's own, else between the last two), or by what it was given to ask.
+#[derive(Debug)]
 pub struct PoseHistory {
     reach: Reach,
     readings: VecDeque<Reading>,
+    ahead: Option<Box<dyn Ahead>>,
 }
 
 impl PoseHistory {
     /// An empty history.
     pub fn new(reach: &Reach) -> Self {
         let reach = Reach { readings: reach.readings.max(2), ..*reach };
-        Self { reach, readings: VecDeque::with_capacity(reach.readings) }
+        Self { reach, readings: VecDeque::with_capacity(reach.readings), ahead: None }
+    }
+
+    /// An empty history that asks `ahead` for what comes after the last whole reading.
+    pub fn foretold(reach: &Reach, ahead: Box<dyn Ahead>) -> Self {
+        Self { ahead: Some(ahead), ..Self::new(reach) }
     }
 
     /// Takes the reading of an instant, with the velocity where the device says it. Whether it was taken: a reading
@@ -96,12 +115,18 @@ impl PoseHistory {
             self.readings.pop_front();
         }
         self.readings.push_back(Reading { at, pose, velocity });
+        if let (Some(ahead), Some(here)) = (&mut self.ahead, pose.reference_from_device()) {
+            ahead.observe(at, &here, velocity.as_ref());
+        }
         true
     }
 
     /// Forgets everything (the origin moved, the device is another).
     pub fn clear(&mut self) {
         self.readings.clear();
+        if let Some(ahead) = &mut self.ahead {
+            ahead.clear();
+        }
     }
 
     /// The instants of the first and the last reading kept.
@@ -146,6 +171,15 @@ impl PoseHistory {
         let Some(ahead) = instant.since(last.at).filter(|ahead| *ahead <= self.reach.ahead) else {
             return Answer::LOST;
         };
+        let how = How::Predicted { ahead };
+        // Where a part of the last reading is lost, what was foretold is about an earlier one.
+        let foretold = self.ahead.as_ref().filter(|_| last.pose.reference_from_device().is_some());
+        if let Some(there) = foretold.and_then(|foretold| foretold.at(instant)) {
+            let (p, q) = (there.translation.vector, there.rotation.coords);
+            let (place, turned) = (p.into(), [q.x, q.y, q.z, q.w]);
+            let pose = Pose::from_exact(place, Tracking::Inferred, turned, Tracking::Inferred);
+            return Answer::known(pose, how);
+        }
         let velocity = last
             .velocity
             .or_else(|| self.last_velocity())
@@ -157,7 +191,7 @@ impl PoseHistory {
         // The velocity is in reference coordinates, so it turns from the left.
         let turned = last.pose.orientation().map(|q| exp(&(finite(velocity.angular_rad_s) * secs)) * q);
         let pose = assemble(place, Tracking::Inferred, turned, Tracking::Inferred);
-        Answer::known(pose, How::Predicted { ahead })
+        Answer::known(pose, how)
     }
 
     /// From the last two readings, where they are near enough.
@@ -199,7 +233,7 @@ fn assemble(
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use vergence_geom::{Rigid, interpolate};
+    use vergence_geom::interpolate;
 
     use super::*;
 
@@ -255,6 +289,42 @@ mod tests {
         let mad = Velocity { linear_m_s: Vector3::x() * f64::NAN, ..velocity };
         history.push(at(60), Pose::tracked(turned(0.1, 0.5)), Some(mad));
         assert_eq!(history.at(at(70)).pose.reference_from_device().unwrap().translation.x, 0.1);
+    }
+
+    /// Wherever it was last, it will be a metre to the right.
+    #[derive(Debug, Default)]
+    struct Right(Option<Rigid>);
+
+    impl Ahead for Right {
+        fn observe(&mut self, _: Timestamp, here: &Rigid, _: Option<&Velocity>) {
+            self.0 = Some(*here);
+        }
+
+        fn at(&self, _: Timestamp) -> Option<Rigid> {
+            self.0.map(|here| Rigid::translation(1.0, 0.0, 0.0) * here)
+        }
+
+        fn clear(&mut self) {
+            self.0 = None;
+        }
+    }
+
+    #[test]
+    fn who_is_asked_for_what_comes_is_asked_within_reach() {
+        let mut history = PoseHistory::foretold(&Reach::default(), Box::<Right>::default());
+        assert_eq!(history.at(at(0)), Answer::LOST);
+        history.push(at(0), Pose::tracked(turned(0.0, 0.5)), None);
+        history.push(at(10), Pose::tracked(turned(0.2, 0.5)), None);
+        let ahead = history.at(at(30));
+        assert_eq!(ahead.how, How::Predicted { ahead: Span::from_millis(20) });
+        assert_eq!(ahead.pose.reference_from_device().unwrap().translation.x, 1.2);
+        assert_eq!(history.at(at(5)).how, How::Interpolated { gap: Span::from_millis(10) });
+        assert_eq!(history.at(at(111)), Answer::LOST);
+        history.push(at(20), Pose::LOST, None);
+        assert_eq!(history.at(at(30)), Answer::LOST);
+        history.clear();
+        history.push(at(30), Pose::LOST, None);
+        assert_eq!(history.at(at(31)), Answer::LOST);
     }
 
     #[test]

@@ -3,4 +3,4 @@
 
 mod history;
 
-pub use history::{Answer, How, PoseHistory, Reach};
+pub use history::{Ahead, Answer, How, PoseHistory, Reach};

@@ -10,6 +10,7 @@ use vergence_action::ActionSet;
 use vergence_geom::Rigid;
 use vergence_gpu::{Device, ImageView};
 use vergence_sense::{Body, Event, Gaze, Hand, HandJoints, Haptic, Pose, Said};
+use vergence_stream::PoseHistory;
 use vergence_time::{Span, Timestamp};
 
 use crate::connection::Connection;
@@ -263,6 +264,17 @@ impl Client {
         self.taken_times = Some(Box::new(times));
     }
 
+    /// From now on, where the runtime does not know where the eyes are, `history` is asked: it is given each pose of the first
+    /// eye that the runtime does know, at the time that it is for.
+    pub fn foretell(&mut self, history: PoseHistory) {
+        self.viewpoints.foretell(history);
+    }
+
+    /// What the eyes did so far says nothing about what comes: the origin has moved, or time has.
+    pub fn forget_motion(&mut self) {
+        self.viewpoints.forget_motion();
+    }
+
     /// From now on `tap` hears what every call of this session says.
     pub fn set_tap(&mut self, tap: Box<dyn Tap>) {
         self.ear = Ear::of(tap);
@@ -443,7 +455,7 @@ impl Client {
     }
 
     /// Where the eyes are at the instant `time`, in LOCAL space. `None` where the runtime does not know and never did:
-    /// then nothing can be drawn. Where it has lost them, the last known poses, marked so.
+    /// then nothing can be drawn. Where it has lost them, what is [foretold](Self::foretell) or the last known poses, marked so.
     ///
     /// # Errors
     /// A loss.

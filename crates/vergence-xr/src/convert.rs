@@ -1,7 +1,7 @@
 //! OpenXR's poses and angles (single precision) to ours and back.
 
 use openxr::{Fovf, Posef, SpaceLocationFlags, ViewStateFlags};
-use vergence_geom::Fov;
+use vergence_geom::{Fov, Rigid};
 use vergence_sense::{Pose, Tracking};
 
 /// The pose in which nothing is moved or turned.
@@ -44,6 +44,18 @@ fn parts(raw: &Posef, position: Tracking, orientation: Tracking) -> Pose {
         [q.x, q.y, q.z, q.w].map(f64::from),
         orientation,
     )
+}
+
+/// A pose as a runtime would say it.
+pub(crate) fn said(reference_from_device: &Rigid) -> Posef {
+    let (p, q) = (
+        reference_from_device.translation.vector.cast::<f32>(),
+        reference_from_device.rotation.cast::<f32>(),
+    );
+    Posef {
+        orientation: openxr::Quaternionf { x: q.i, y: q.j, z: q.k, w: q.w },
+        position: openxr::Vector3f { x: p.x, y: p.y, z: p.z },
+    }
 }
 
 /// Angles of the sides, where they can be drawn.

@@ -2,7 +2,8 @@
 
 use openxr::{Fovf, Posef, ViewStateFlags, sys};
 use vergence_geom::{Rigid, View};
-use vergence_sense::{Said, Tracking};
+use vergence_sense::{Pose, Said, Tracking};
+use vergence_stream::{How, PoseHistory};
 use vergence_time::Timestamp;
 
 use crate::convert;
@@ -53,16 +54,35 @@ pub(crate) struct Viewpoints {
     last: Option<Located>,
     /// What was said last were poses and fields of view, wherever it claimed to be.
     makes_sense: bool,
+    /// Of the first eye, where somebody foretells.
+    history: Option<PoseHistory>,
 }
 
 impl Viewpoints {
     pub(crate) fn new(count: u32) -> Self {
-        Self { count: (count as usize).min(Located::MOST_VIEWS), last: None, makes_sense: true }
+        Self {
+            count: (count as usize).min(Located::MOST_VIEWS),
+            last: None,
+            makes_sense: true,
+            history: None,
+        }
     }
 
     /// Whether what the runtime said last were poses and fields of view, wherever it claimed that they are.
     pub(crate) const fn makes_sense(&self) -> bool {
         self.makes_sense
+    }
+
+    /// From now on, what the runtime does not know is asked of `history`.
+    pub(crate) fn foretell(&mut self, history: PoseHistory) {
+        self.history = Some(history);
+    }
+
+    /// The motion so far says nothing about what comes.
+    pub(crate) fn forget_motion(&mut self) {
+        if let Some(history) = &mut self.history {
+            history.clear();
+        }
     }
 
     pub(crate) fn locate(
@@ -108,16 +128,18 @@ impl Viewpoints {
             at: time,
             views: raw_views(state.view_state_flags, views.iter().take(self.count).map(|v| (v.pose, v.fov))),
         });
-        Ok(self.accept(state.view_state_flags, views.map(|view| (view.pose, view.fov))))
+        Ok(self.accept(time, state.view_state_flags, views.map(|view| (view.pose, view.fov))))
     }
 
-    /// What can be drawn with: what the runtime says where it may be read, else what was known last.
+    /// What can be drawn with at `time`: what the runtime says where it may be read; else, while it lasts, what is foretold;
+    /// else what was known last.
     fn accept(
         &mut self,
+        time: Timestamp,
         flags: ViewStateFlags,
         mut raw: [(Posef, Fovf); Located::MOST_VIEWS],
     ) -> Option<Located> {
-        let last = self.last;
+        let last = self.foretold(time).or(self.last);
         self.makes_sense = true;
         let mut position_tracking = Tracking::Measured;
         let mut orientation_tracking = Tracking::Measured;
@@ -152,7 +174,25 @@ impl Viewpoints {
         }
         let located = Located { raw, views, count: self.count, position_tracking, orientation_tracking };
         self.last = Some(located);
+        if let (Some(history), Tracking::Measured, Tracking::Measured) =
+            (&mut self.history, position_tracking, orientation_tracking)
+        {
+            history.push(time, Pose::tracked(views[0].world_from_eye), None);
+        }
         Some(located)
+    }
+
+    /// The eyes as they were last known, moved as one to where the first of them is foretold to be at `time`.
+    fn foretold(&self, time: Timestamp) -> Option<Located> {
+        let mut last = self.last?;
+        let answer = self.history.as_ref()?.at(time);
+        let How::Predicted { .. } = answer.how else { return None };
+        let moved = answer.pose.reference_from_device()? * last.views[0].world_from_eye.inverse();
+        for ((pose, _), view) in last.raw.iter_mut().zip(&mut last.views) {
+            view.world_from_eye = moved * view.world_from_eye;
+            *pose = convert::said(&view.world_from_eye);
+        }
+        Some(last)
     }
 }
 
@@ -173,9 +213,14 @@ pub fn in_world(world_from_local: &Rigid, located: &Located, views: &mut [View])
 
 #[cfg(test)]
 mod tests {
+    use vergence_stream::Reach;
+    use vergence_time::Span;
+
     use super::*;
 
     const FOV: Fovf = Fovf { angle_left: -0.9, angle_right: 0.7, angle_up: 0.8, angle_down: -0.8 };
+
+    const NOW: Timestamp = Timestamp::from_nanos(0);
 
     fn all() -> ViewStateFlags {
         ViewStateFlags::POSITION_VALID
@@ -194,7 +239,7 @@ mod tests {
         // Not of unit length: our own views are normalised, what is handed back is not touched.
         let tilted =
             Posef { orientation: openxr::Quaternionf { x: 0.0, y: 0.600_01, z: 0.0, w: 0.8 }, ..at(0.1) };
-        let located = viewpoints.accept(all(), [(tilted, FOV), (at(0.2), FOV)]).unwrap();
+        let located = viewpoints.accept(NOW, all(), [(tilted, FOV), (at(0.2), FOV)]).unwrap();
         assert_eq!((located.raw(0), located.raw(1)), ((tilted, FOV), (at(0.2), FOV)));
         assert!((located.views()[0].world_from_eye.rotation.quaternion().norm() - 1.0).abs() < 1e-12);
         assert_eq!(located.views()[1].world_from_eye.translation.x, f64::from(0.2f32));
@@ -205,9 +250,9 @@ mod tests {
         let mut viewpoints = Viewpoints::new(2);
         let nonsense =
             Posef { position: openxr::Vector3f { x: f32::NAN, y: 0.0, z: 0.0 }, ..convert::IDENTITY };
-        assert!(viewpoints.accept(ViewStateFlags::EMPTY, [(nonsense, FOV); 2]).is_none());
-        viewpoints.accept(all(), [(at(-0.03), FOV), (at(0.03), FOV)]).unwrap();
-        let lost = viewpoints.accept(ViewStateFlags::EMPTY, [(nonsense, Fovf::default()); 2]).unwrap();
+        assert!(viewpoints.accept(NOW, ViewStateFlags::EMPTY, [(nonsense, FOV); 2]).is_none());
+        viewpoints.accept(NOW, all(), [(at(-0.03), FOV), (at(0.03), FOV)]).unwrap();
+        let lost = viewpoints.accept(NOW, ViewStateFlags::EMPTY, [(nonsense, Fovf::default()); 2]).unwrap();
         assert_eq!((lost.raw(0), lost.raw(1)), ((at(-0.03), FOV), (at(0.03), FOV)));
         assert_eq!(lost.position_tracking, Tracking::Lost);
     }
@@ -216,8 +261,37 @@ mod tests {
     fn turning_without_a_place_is_drawn_from_the_origin() {
         let mut viewpoints = Viewpoints::new(1);
         let flags = ViewStateFlags::ORIENTATION_VALID | ViewStateFlags::ORIENTATION_TRACKED;
-        let located = viewpoints.accept(flags, [(at(9.0), FOV); 2]).unwrap();
+        let located = viewpoints.accept(NOW, flags, [(at(9.0), FOV); 2]).unwrap();
         assert_eq!(located.views().len(), 1);
         assert_eq!(located.views()[0].world_from_eye.translation.vector.norm(), 0.0);
+    }
+
+    #[test]
+    fn lost_eyes_go_on_together_for_a_while_where_somebody_foretells() {
+        let mut viewpoints = Viewpoints::new(2);
+        let reach = Reach { ahead: Span::from_millis(30), ..Reach::default() };
+        viewpoints.foretell(PoseHistory::new(&reach));
+        let frame = |k: i64| Timestamp::from_nanos(k * 10_000_000);
+        for k in 0..3 {
+            let x = 0.01 * k as f32;
+            viewpoints.accept(frame(k), all(), [(at(x), FOV), (at(x + 0.06), FOV)]).unwrap();
+        }
+        let lost = |viewpoints: &mut Viewpoints, k| {
+            let located =
+                viewpoints.accept(frame(k), ViewStateFlags::EMPTY, [(at(9.0), Fovf::default()); 2]).unwrap();
+            assert_eq!(located.orientation_tracking, Tracking::Lost);
+            let [left, right] = [0, 1].map(|eye| located.views()[eye].world_from_eye.translation.x);
+            assert!((right - left - 0.06).abs() < 1e-6, "{left} {right}");
+            assert_eq!(located.raw(0).0.position.x, left as f32);
+            left
+        };
+        for (k, x) in [(3, 0.03), (4, 0.04), (5, 0.05), (6, 0.05), (60, 0.05)] {
+            let found = lost(&mut viewpoints, k);
+            assert!((found - x).abs() < 1e-6, "{k}: {found}");
+        }
+        viewpoints.accept(frame(61), all(), [(at(0.5), FOV), (at(0.56), FOV)]).unwrap();
+        viewpoints.accept(frame(62), all(), [(at(0.6), FOV), (at(0.66), FOV)]).unwrap();
+        viewpoints.forget_motion();
+        assert!((lost(&mut viewpoints, 63) - 0.6).abs() < 1e-6);
     }
 }

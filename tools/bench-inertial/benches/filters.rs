@@ -1,7 +1,7 @@
 //! Time of one sample, update and orientation, of our filters beside other crates', on one simulated motion: one run, one thread.
 
 use std::hint::black_box;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ahrs::Ahrs as _;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -62,6 +62,18 @@ fn guarded(samples: &[(Timestamp, Imu)], filter: &mut impl Filter) {
     }
 }
 
+/// Time of this thread on a processor so far, where the system says it (Linux): what else the machine does is not counted.
+fn spent() -> Option<Duration> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    text.split(' ').next()?.parse().ok().map(Duration::from_nanos)
+}
+
+fn on_cpu(times: u64, mut run: impl FnMut()) -> Duration {
+    let (began, began_on_cpu) = (Instant::now(), spent());
+    (0..times).for_each(|_| run());
+    spent().zip(began_on_cpu).map_or_else(|| began.elapsed(), |(after, before)| after - before)
+}
+
 fn filters(criterion: &mut Criterion) {
     let samples = motion();
     let period_s = PERIOD_NS as f64 * 1e-9;
@@ -78,60 +90,79 @@ fn filters(criterion: &mut Criterion) {
             .warm_up_time(Duration::from_millis(500))
             .measurement_time(Duration::from_secs(3));
         group.bench_function("ours/vergence", |b| {
-            b.iter(|| core(&samples, axes, &mut Vergence::new(VergenceParams::default(), period_s)));
+            b.iter_custom(|times| {
+                on_cpu(times, || {
+                    core(&samples, axes, &mut Vergence::new(VergenceParams::default(), period_s))
+                })
+            });
         });
         group.bench_function("ours/vergence, guarded", |b| {
-            b.iter(|| {
-                let core = Vergence::new(VergenceParams::default(), period_s);
-                guarded(&samples, &mut Stream::new(core, axes, period, Limits::default()));
+            b.iter_custom(|times| {
+                on_cpu(times, || {
+                    let core = Vergence::new(VergenceParams::default(), period_s);
+                    guarded(&samples, &mut Stream::new(core, axes, period, Limits::default()));
+                })
             });
         });
         group.bench_function("ours/vqf", |b| {
-            b.iter(|| core(&samples, axes, &mut Vqf::new(VqfParams::FULL, period_s)));
+            b.iter_custom(|times| {
+                on_cpu(times, || core(&samples, axes, &mut Vqf::new(VqfParams::FULL, period_s)))
+            });
         });
         group.bench_function("ours/madgwick", |b| {
-            b.iter(|| core(&samples, axes, &mut Madgwick::new(MadgwickParams::default())));
+            b.iter_custom(|times| {
+                on_cpu(times, || core(&samples, axes, &mut Madgwick::new(MadgwickParams::default())))
+            });
         });
         group.bench_function("vqf-rs/vqf", |b| {
-            b.iter(|| {
-                let mut filter = vqf_rs::VQF::new(period_s as vqf_rs::Float, None, None, None);
-                for (_, imu) in &samples {
-                    let array =
-                        |v: &Vector3<f64>| [v.x as vqf_rs::Float, v.y as vqf_rs::Float, v.z as vqf_rs::Float];
-                    let mag = imu.mag_ut.as_ref().filter(|_| nine).map(array);
-                    filter.update(array(&imu.gyr_rad_s), array(&imu.acc_m_s2), mag);
-                    black_box(if nine { filter.quat_9d() } else { filter.quat_6d() });
-                }
+            b.iter_custom(|times| {
+                on_cpu(times, || {
+                    let mut filter = vqf_rs::VQF::new(period_s as vqf_rs::Float, None, None, None);
+                    for (_, imu) in &samples {
+                        let array = |v: &Vector3<f64>| {
+                            [v.x as vqf_rs::Float, v.y as vqf_rs::Float, v.z as vqf_rs::Float]
+                        };
+                        let mag = imu.mag_ut.as_ref().filter(|_| nine).map(array);
+                        filter.update(array(&imu.gyr_rad_s), array(&imu.acc_m_s2), mag);
+                        black_box(if nine { filter.quat_9d() } else { filter.quat_6d() });
+                    }
+                })
             });
         });
         group.bench_function("uf-ahrs/vqf", |b| {
-            b.iter(|| {
-                let mut filter =
-                    uf_ahrs::Vqf::new(Duration::from_nanos(PERIOD_NS as u64), uf_ahrs::VqfParams::default());
-                for (_, imu) in &samples {
-                    let (gyr, acc) = (f32s(&imu.gyr_rad_s), f32s(&imu.acc_m_s2));
-                    if nine {
-                        let mag = f32s(imu.mag_ut.as_ref().unwrap_or(&zero));
-                        uf_ahrs::Ahrs::update(&mut filter, gyr, acc, mag);
-                    } else {
-                        uf_ahrs::Ahrs::update_imu(&mut filter, gyr, acc);
+            b.iter_custom(|times| {
+                on_cpu(times, || {
+                    let mut filter = uf_ahrs::Vqf::new(
+                        Duration::from_nanos(PERIOD_NS as u64),
+                        uf_ahrs::VqfParams::default(),
+                    );
+                    for (_, imu) in &samples {
+                        let (gyr, acc) = (f32s(&imu.gyr_rad_s), f32s(&imu.acc_m_s2));
+                        if nine {
+                            let mag = f32s(imu.mag_ut.as_ref().unwrap_or(&zero));
+                            uf_ahrs::Ahrs::update(&mut filter, gyr, acc, mag);
+                        } else {
+                            uf_ahrs::Ahrs::update_imu(&mut filter, gyr, acc);
+                        }
+                        black_box(uf_ahrs::Ahrs::orientation(&filter));
                     }
-                    black_box(uf_ahrs::Ahrs::orientation(&filter));
-                }
+                })
             });
         });
         group.bench_function("ahrs/madgwick", |b| {
-            b.iter(|| {
-                let mut filter = ahrs::Madgwick::new(period_s, 0.12);
-                for (_, imu) in &samples {
-                    let (gyr, acc) = (old(&imu.gyr_rad_s), old(&imu.acc_m_s2));
-                    let _ = if nine {
-                        filter.update(&gyr, &acc, &old(imu.mag_ut.as_ref().unwrap_or(&zero))).map(|_| ())
-                    } else {
-                        filter.update_imu(&gyr, &acc).map(|_| ())
-                    };
-                    black_box(filter.quat);
-                }
+            b.iter_custom(|times| {
+                on_cpu(times, || {
+                    let mut filter = ahrs::Madgwick::new(period_s, 0.12);
+                    for (_, imu) in &samples {
+                        let (gyr, acc) = (old(&imu.gyr_rad_s), old(&imu.acc_m_s2));
+                        let _ = if nine {
+                            filter.update(&gyr, &acc, &old(imu.mag_ut.as_ref().unwrap_or(&zero))).map(|_| ())
+                        } else {
+                            filter.update_imu(&gyr, &acc).map(|_| ())
+                        };
+                        black_box(filter.quat);
+                    }
+                })
             });
         });
         group.finish();
