@@ -60,8 +60,10 @@ pub fn read(path: &Path) -> Result<SessionLog, Error> {
             Err(error) => log.damage.push(with_causes(&error)),
         }
     }
-    if let Some(Ending::CutOff { at }) = reader.ending() {
-        log.damage.push(format!("cut off after byte {at}"));
+    match reader.ending() {
+        Some(Ending::CutOff { at }) => log.damage.push(format!("cut off after byte {at}")),
+        Some(Ending::Failed { at }) => log.damage.push(format!("recording failed after byte {at}")),
+        _ => {}
     }
     if log.about.participant.is_empty() && log.records.is_empty() {
         return Err(Error::Damaged {

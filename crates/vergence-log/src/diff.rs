@@ -1,7 +1,6 @@
 //! Where two logs part.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::hash::{DefaultHasher, Hasher};
 use std::path::Path;
 
 use serde::Serialize;
@@ -64,32 +63,25 @@ const OWN: &str = "the recorder's own";
 
 /// A message that waits for the other log's.
 struct Seen {
-    hash: u64,
-    length: usize,
     arrived_ns: i64,
     offset: u64,
-    /// Where it is not large: to be taken apart.
     payload: Vec<u8>,
 }
 
 /// Of larger messages, pictures, it is not told what differs.
 const TAKEN_APART: usize = 16 << 10;
+/// Bytes of messages that may wait before it is counted how many the other log has: what waits for nothing need not be kept.
+const WAITING: usize = 8 << 20;
+/// Memory that a message takes beside its payload, about.
+const SEEN: usize = 64;
 
 impl Seen {
     fn of(entry: &Entry<'_>) -> Self {
-        let mut hasher = DefaultHasher::new();
-        hasher.write(entry.payload);
         Self {
-            hash: hasher.finish(),
-            length: entry.payload.len(),
             arrived_ns: crate::cut::arrival(entry).as_nanos(),
             offset: entry.place.offset,
-            payload: if entry.payload.len() <= TAKEN_APART { entry.payload.to_vec() } else { Vec::new() },
+            payload: entry.payload.to_vec(),
         }
-    }
-
-    fn equals(&self, other: &Self) -> bool {
-        (self.hash, self.length) == (other.hash, other.length)
     }
 }
 
@@ -99,25 +91,56 @@ struct Pair {
     /// Of the first log (0) or the second (1), which is ahead.
     ahead: usize,
     waiting: VecDeque<Seen>,
+    waiting_bytes: usize,
     types: [String; 2],
+    /// How many messages each log has in all, where that was counted.
+    totals: Option<[u64; 2]>,
 }
 
 impl Pair {
-    fn add(&mut self, side: usize, seen: Seen) {
+    /// Messages that can still be compared, and the first that cannot.
+    fn useful(&self) -> u64 {
+        let seen = [self.diff.count_a, self.diff.count_b];
+        let behind = 1 - self.ahead;
+        self.totals.map_or(u64::MAX, |totals| totals[behind].saturating_sub(seen[behind]).saturating_add(1))
+    }
+
+    fn forget(&mut self) {
+        self.waiting = VecDeque::new();
+        self.waiting_bytes = 0;
+    }
+
+    fn count(&mut self, totals: [u64; 2]) {
+        self.totals = Some(totals);
+        let useful = usize::try_from(self.useful()).unwrap_or(usize::MAX);
+        self.waiting.truncate(useful);
+        self.waiting.shrink_to_fit();
+        self.waiting_bytes = self.waiting.iter().map(|seen| seen.payload.len() + SEEN).sum();
+    }
+
+    fn add(&mut self, side: usize, entry: &Entry<'_>) {
         let count = if side == 0 { &mut self.diff.count_a } else { &mut self.diff.count_b };
         *count += 1;
-        if self.diff.first_difference.is_some() || self.diff.not_compared.is_some() {
+        if self.diff.not_compared.is_some() {
+            return self.forget();
+        }
+        if self.diff.first_difference.is_some() {
             return;
         }
         if self.waiting.is_empty() || self.ahead == side {
             self.ahead = side;
-            self.waiting.push_back(seen);
+            if (self.waiting.len() as u64) < self.useful() {
+                self.waiting_bytes += entry.payload.len() + SEEN;
+                self.waiting.push_back(Seen::of(entry));
+            }
             return;
         }
         let Some(other) = self.waiting.pop_front() else { return };
-        if other.equals(&seen) {
+        self.waiting_bytes -= other.payload.len() + SEEN;
+        if other.payload == entry.payload {
             self.diff.equal_until += 1;
         } else {
+            let seen = Seen::of(entry);
             let (a, b) = if side == 0 { (seen, other) } else { (other, seen) };
             self.part(Some(a), Some(b));
         }
@@ -125,7 +148,8 @@ impl Pair {
 
     fn part(&mut self, a: Option<Seen>, b: Option<Seen>) {
         let apart = |a: &Seen, b: &Seen| {
-            if a.payload.is_empty() || b.payload.is_empty() || self.types[0] != self.types[1] {
+            let large = a.payload.len().max(b.payload.len()) > TAKEN_APART;
+            if large || self.types[0] != self.types[1] {
                 return (Vec::new(), 0);
             }
             differing(schema_of(&self.types[0]), &a.payload, &b.payload)
@@ -139,8 +163,8 @@ impl Pair {
                 let more = if more > 0 { format!("; and {more} fields more") } else { String::new() };
                 fields.iter().map(word).collect::<Vec<_>>().join("; ") + &more
             }
-            (Some(a), Some(b)) if a.length != b.length => {
-                format!("{} bytes in the first log, {} in the second", a.length, b.length)
+            (Some(a), Some(b)) if a.payload.len() != b.payload.len() => {
+                format!("{} bytes in the first log, {} in the second", a.payload.len(), b.payload.len())
             }
             (Some(_), Some(_)) => "other values".to_owned(),
             (Some(_), None) => "only the first log has it".to_owned(),
@@ -156,12 +180,34 @@ impl Pair {
             fields,
             fields_count: count as u64,
         });
+        self.forget();
     }
 }
 
+/// How many messages each stream of a log has.
+fn totals(path: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<BTreeMap<String, u64>, Error> {
+    let mut reader = Reader::open(path)?;
+    let mut by_number: BTreeMap<u16, (String, u64)> = BTreeMap::new();
+    let mut step = 0u64;
+    loop {
+        let (read, all) = reader.progress();
+        let Some(entry) = reader.next()? else { break };
+        by_number.entry(entry.stream.id).or_insert_with(|| (entry.stream.name.clone(), 0)).1 += 1;
+        step += 1;
+        if step.is_multiple_of(1024) {
+            progress(read, all);
+        }
+    }
+    let mut totals = BTreeMap::new();
+    for (name, count) in by_number.into_values() {
+        *totals.entry(name).or_default() += count;
+    }
+    Ok(totals)
+}
+
 /// Compares the messages of each stream in their order, bit for bit, with both times. Streams of host time and the
-/// recorder's own are counted and never compared. Memory is in proportion to how far one log is ahead of the other;
-/// both are read at the same pace.
+/// recorder's own are counted and never compared. Memory is in proportion to how far one log is ahead of the other in a stream that
+/// both have; both are read at the same pace, and a second time where one is more than 8 MiB ahead, to count its messages.
 ///
 /// # Errors
 /// Where a log is damaged or cannot be read.
@@ -170,6 +216,7 @@ pub fn diff(a: &Path, b: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Di
     let mut over = [false; 2];
     let mut pairs: BTreeMap<String, Pair> = BTreeMap::new();
     let mut step = 0u64;
+    let (mut waiting_bytes, mut counted) = (0, None);
     while over != [true; 2] {
         let part = |reader: &Reader| {
             let (read, all) = reader.progress();
@@ -180,13 +227,22 @@ pub fn diff(a: &Path, b: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Di
             over[side] = true;
             continue;
         };
-        let seen = Seen::of(&entry);
         if !pairs.contains_key(&entry.stream.name) {
-            pairs.insert(entry.stream.name.clone(), Pair::default());
+            let totals = counted.as_ref().map(|counted| totals_of(counted, &entry.stream.name));
+            pairs.insert(entry.stream.name.clone(), Pair { totals, ..Pair::default() });
         }
         if let Some(pair) = pairs.get_mut(&entry.stream.name) {
             note(pair, side, &entry);
-            pair.add(side, seen);
+            let before = pair.waiting_bytes;
+            pair.add(side, &entry);
+            waiting_bytes = waiting_bytes + pair.waiting_bytes - before;
+        }
+        if waiting_bytes > WAITING && counted.is_none() {
+            let totals = counted.insert([totals(a, progress)?, totals(b, progress)?]);
+            for (name, pair) in &mut pairs {
+                pair.count(totals_of(totals, name));
+            }
+            waiting_bytes = pairs.values().map(|pair| pair.waiting_bytes).sum();
         }
         step += 1;
         if step.is_multiple_of(1024) {
@@ -228,8 +284,14 @@ pub fn diff(a: &Path, b: &Path, progress: &mut dyn FnMut(u64, u64)) -> Result<Di
     Ok(result)
 }
 
+fn totals_of(counted: &[BTreeMap<String, u64>; 2], name: &str) -> [u64; 2] {
+    counted.each_ref().map(|counts| counts.get(name).copied().unwrap_or(0))
+}
+
 fn note(pair: &mut Pair, side: usize, entry: &Entry<'_>) {
-    entry.stream.type_name().clone_into(&mut pair.types[side]);
+    if pair.types[side].is_empty() {
+        entry.stream.type_name().clone_into(&mut pair.types[side]);
+    }
     if entry.stream.clock() == ClockKind::Host {
         pair.diff.not_compared = Some("host time");
     } else if entry.stream.name == crate::writer::StreamRecord::OWN {

@@ -4,6 +4,12 @@ use std::collections::BTreeMap;
 
 /// Name of the metadata record that describes the session.
 pub(crate) const SESSION: &str = "vergence.session";
+/// How the name of the library that writes them begins.
+pub(crate) const LIBRARY: &str = "vergence-log ";
+/// Name of the metadata record that says why a recording ended early.
+pub(crate) const FAILED: &str = "vergence.failed";
+/// Name of the metadata record that says what a repair found.
+pub(crate) const REPAIRED: &str = "vergence.repaired";
 /// The format that this crate writes; a reader refuses a later one.
 pub const FORMAT_VERSION: u32 = 1;
 /// MCAP's profile of our files.

@@ -17,7 +17,7 @@ use crate::error::Error;
 use crate::header::Header;
 use crate::message::{ClockKind, Message};
 use crate::records::{HEAD, Inner, MAGIC, Malformed, MessageRecord, Record, op};
-use behind::Behind;
+use behind::{Behind, Effort};
 
 /// How much memory reading may take.
 #[derive(Clone, Copy, Debug)]
@@ -92,6 +92,12 @@ pub enum Ending {
     /// The recording was cut off: nothing whole is behind this offset.
     CutOff {
         /// Offset in the file.
+        at: u64,
+    },
+    /// The recording failed (a full disk) and ended here, early: what came afterwards is not in the file. The note
+    /// `vergence.failed` says why, where there was room for it ([`Reader::metadata`]).
+    Failed {
+        /// Offset in the file of its last record.
         at: u64,
     },
 }
@@ -255,6 +261,8 @@ pub struct Reader {
     schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
     /// By their numbers.
     streams: Vec<Option<Arc<StreamInfo>>>,
+    /// The number of each one's schema.
+    schema_of: Vec<u16>,
     library: String,
     header: Option<Header>,
     metadata: Vec<(String, BTreeMap<String, String>)>,
@@ -264,6 +272,7 @@ pub struct Reader {
     unannounced: BTreeMap<u16, u64>,
     /// A record that was damaged, until it is known where reading goes on behind it.
     behind: Option<Behind>,
+    effort: Effort,
     /// Streams were looked for at the end of the file, too.
     summary_read: bool,
 }
@@ -303,6 +312,7 @@ impl Reader {
             index_bytes: 0,
             schemas: BTreeMap::new(),
             streams: Vec::new(),
+            schema_of: Vec::new(),
             library: String::new(),
             header: None,
             metadata: Vec::new(),
@@ -310,6 +320,7 @@ impl Reader {
             ending: None,
             unannounced: BTreeMap::new(),
             behind: None,
+            effort: Effort::default(),
             summary_read: false,
         };
         reader.begin()?;
@@ -353,6 +364,7 @@ impl Reader {
     fn again(&mut self, at: u64) -> Result<(), Error> {
         self.ending = None;
         self.behind = None;
+        self.effort.again_from(at);
         self.seek(at)
     }
 
@@ -365,7 +377,10 @@ impl Reader {
     }
 
     fn seek(&mut self, at: u64) -> Result<(), Error> {
-        self.file.seek(std::io::SeekFrom::Start(at)).map_err(|error| Error::read(&self.path, error))?;
+        // Inside of what is in memory already, nothing is read again; files are shorter than 2^63 bytes.
+        let here = self.file.stream_position();
+        let moved = here.and_then(|here| self.file.seek_relative(at.wrapping_sub(here) as i64));
+        moved.map_err(|error| Error::read(&self.path, error))?;
         self.at = at;
         Ok(())
     }
@@ -396,7 +411,8 @@ impl Reader {
 
     /// The schema of a stream: its encoding and its data.
     pub fn schema(&self, stream: &StreamInfo) -> Option<(&str, &[u8])> {
-        let found = self.schemas.values().find(|(name, ..)| *name == stream.schema)?;
+        let number = self.schema_of.get(usize::from(stream.id))?;
+        let found = self.schemas.get(number).filter(|(name, ..)| *name == stream.schema)?;
         Some((&found.1, &found.2))
     }
 
@@ -424,6 +440,12 @@ impl Reader {
     /// Bytes read so far and in all, for a progress bar.
     pub fn progress(&self) -> (u64, u64) {
         (self.at, self.length)
+    }
+
+    /// Bytes that were taken out of the file and out of its chunks so far: what reading has cost. Behind damage some are read again;
+    /// how many is bounded by the length of the file, whatever it holds.
+    pub fn effort_bytes(&self) -> u64 {
+        self.effort.bytes()
     }
 
     /// The next message; `None` at the end, whose kind [`Reader::ending`] tells.
@@ -538,11 +560,11 @@ impl Reader {
                 self.ending = Some(Ending::CutOff { at });
                 return Ok(None);
             }
-            self.behind = Some(Behind { offset: at, next: u64::MAX });
+            self.behind = Some(Behind::new(at, u64::MAX));
             let found = format!("one of {length} bytes");
             return Err(self.damaged(at, Malformed::new("a record that ends inside of the file", found)));
         }
-        let behind = Behind { offset: at, next: at + HEAD as u64 + length };
+        let behind = Behind::new(at, at + HEAD as u64 + length);
         if opcode == 0 || (op::DATA_END + 1..0x80).contains(&opcode) {
             self.behind = Some(behind);
             let found = format!("number {opcode:#04x}");
@@ -562,6 +584,11 @@ impl Reader {
             return Err(
                 self.damaged(at, Malformed::new("a record that fits into the memory that is allowed", found))
             );
+        }
+        if let Err(behind) = self.effort.take(at, wanted, self.length) {
+            self.behind = Some(behind);
+            let found = "one inside of others that are damaged, too";
+            return Err(self.damaged(at, Malformed::new("a record that was not read before", found)));
         }
         // Within the file and within the limit.
         self.body.resize(wanted as usize, 0);

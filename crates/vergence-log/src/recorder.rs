@@ -219,6 +219,13 @@ impl Recorder {
         }
     }
 
+    /// The longest that the writer's thread did not look at the queues, so far: because the disk or a processor made it wait, or an
+    /// attachment is large. A message is in the file at most four times as long after [`Options::chunk_every`] has passed: until it
+    /// is seen, until it is in its chunk, until the chunk is found to be old enough, until that is written.
+    pub fn longest_away(&self) -> Duration {
+        self.shared.longest_away()
+    }
+
     /// Why the file cannot be written any more, once: the session says it and goes on.
     pub fn failure(&mut self) -> Option<Error> {
         if !self.shared.failed.load(Ordering::Relaxed) {

@@ -29,6 +29,59 @@ pub(crate) fn note_bytes(key: &str, value: &str) -> u64 {
     (key.len() + value.len()) as u64 + 160
 }
 
+/// A record as it stands in a file.
+pub(crate) fn put_record(opcode: u8, body: &[u8], out: &mut Vec<u8>) {
+    out.push(opcode);
+    out.extend_from_slice(&(body.len() as u64).to_le_bytes());
+    out.extend_from_slice(body);
+}
+
+fn put_bytes(bytes: &[u8], out: &mut Vec<u8>) {
+    out.extend_from_slice(&(bytes.len() as u32).to_le_bytes());
+    out.extend_from_slice(bytes);
+}
+
+fn put_map(map: &BTreeMap<String, String>, out: &mut Vec<u8>) {
+    let mut fields = Vec::new();
+    for (key, value) in map {
+        put_bytes(key.as_bytes(), &mut fields);
+        put_bytes(value.as_bytes(), &mut fields);
+    }
+    put_bytes(&fields, out);
+}
+
+/// The record that announces a schema.
+pub(crate) fn put_schema(id: u16, name: &str, encoding: &str, data: &[u8], out: &mut Vec<u8>) {
+    let mut body = id.to_le_bytes().to_vec();
+    put_bytes(name.as_bytes(), &mut body);
+    put_bytes(encoding.as_bytes(), &mut body);
+    put_bytes(data, &mut body);
+    put_record(op::SCHEMA, &body, out);
+}
+
+/// The record that announces a stream.
+pub(crate) fn put_channel(
+    (id, schema): (u16, u16),
+    topic: &str,
+    encoding: &str,
+    metadata: &BTreeMap<String, String>,
+    out: &mut Vec<u8>,
+) {
+    let mut body = [id.to_le_bytes(), schema.to_le_bytes()].concat();
+    put_bytes(topic.as_bytes(), &mut body);
+    put_bytes(encoding.as_bytes(), &mut body);
+    put_map(metadata, &mut body);
+    put_record(op::CHANNEL, &body, out);
+}
+
+/// The record that holds notes under a name.
+pub(crate) fn put_metadata(name: &str, metadata: &BTreeMap<String, String>, out: &mut Vec<u8>) {
+    let mut body = Vec::new();
+    put_bytes(name.as_bytes(), &mut body);
+    put_map(metadata, &mut body);
+    put_record(op::METADATA, &body, out);
+}
+
 /// What a record should have held.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Malformed {
@@ -130,7 +183,10 @@ pub(crate) enum Record<'a> {
         metadata: BTreeMap<String, String>,
     },
     DataEnd,
-    Footer,
+    Footer {
+        /// 0 where there is none.
+        summary_start: u64,
+    },
     /// An index, or something that a later MCAP has.
     Other,
 }
@@ -195,7 +251,7 @@ impl<'a> Record<'a> {
                 let _profile = fields.text("a header")?;
                 Self::Header { library: fields.text("a header")? }
             }
-            op::FOOTER => Self::Footer,
+            op::FOOTER => Self::Footer { summary_start: fields.u64("a footer")? },
             op::SCHEMA => {
                 let what = "a schema";
                 let (id, name, encoding) = (fields.u16(what)?, fields.text(what)?, fields.text(what)?);

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::error::Error;
-use crate::header::Header;
+use crate::header::{Header, REPAIRED};
 use crate::reader::{Ending, Limits, Reader};
 use crate::rewrite::{Copier, Rewriter};
 
@@ -19,6 +19,8 @@ pub struct Repair {
     pub was_complete: bool,
     /// From here on nothing whole was left.
     pub cut_off_at: Option<u64>,
+    /// The recording had failed (a full disk), and the file ends there: its note `vergence.failed` says why.
+    pub recording_failed: bool,
     /// Bytes behind the last whole record.
     pub lost_bytes_at_end: u64,
     /// Damage before that: where, and what was expected and found. The first thousand places.
@@ -35,7 +37,7 @@ pub struct Repair {
 }
 
 /// Writes every message that is whole in the log at `from` to a new file at `to`; `progress` hears of bytes read and
-/// bytes in all. A log that is whole is copied.
+/// bytes in all. A log that is whole is copied; else the new file has a note `vergence.repaired` of what was found.
 ///
 /// # Errors
 /// Where `from` is no log at all, or `to` cannot be written.
@@ -73,8 +75,9 @@ pub fn repair(
                 if writer.message(0, id, sequence, times, entry.payload).is_err() {
                     // A stream that was met just now.
                     let payload = entry.payload.to_vec();
+                    let info = entry.stream.clone();
                     found.lost_attachments.extend(copier.copy_facts(&mut writer)?);
-                    copier.copy_streams(&mut writer)?;
+                    writer.stream(0, &info, &info.name, copier.reader.schema(&info))?;
                     writer.message(0, id, sequence, times, &payload)?;
                 }
             }
@@ -95,8 +98,31 @@ pub fn repair(
         writer.session(header.to_map())?;
     }
     end(&copier.reader, &mut found);
+    if !found.was_complete {
+        writer.metadata(REPAIRED, note(from, &found))?;
+    }
     writer.finish()?;
     Ok(found)
+}
+
+/// What the new file says of the old one.
+fn note(from: &Path, found: &Repair) -> BTreeMap<String, String> {
+    let mut note = BTreeMap::from([("of".to_owned(), from.display().to_string())]);
+    let mut add = |key: &str, value: u64| {
+        if value > 0 {
+            note.insert(key.to_owned(), value.to_string());
+        }
+    };
+    add("recording_failed", found.recording_failed.into());
+    add("lost_bytes_at_end", found.lost_bytes_at_end);
+    add("damaged", found.damaged_count);
+    add("missing_messages", found.missing);
+    add("unannounced_messages", found.unannounced.values().sum());
+    add("lost_attachments", found.lost_attachments.len() as u64);
+    if let Some(at) = found.cut_off_at {
+        note.insert("cut_off_at".to_owned(), at.to_string());
+    }
+    note
 }
 
 /// Places of damage that are told one by one.
@@ -109,6 +135,7 @@ fn end(reader: &Reader, found: &mut Repair) {
             found.cut_off_at = Some(at);
             found.lost_bytes_at_end = reader.progress().1.saturating_sub(at);
         }
+        Some(Ending::Failed { at }) => (found.cut_off_at, found.recording_failed) = (Some(at), true),
         _ => found.was_complete = found.damaged_count == 0 && found.lost_attachments.is_empty(),
     }
 }

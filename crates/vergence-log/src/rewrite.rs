@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use mcap::records::{AttachmentHeader, MessageHeader, Metadata};
 
 use crate::error::Error;
+use crate::file::sync_folder_of;
 use crate::header::SESSION;
 use crate::reader::{Attachment, Entry, Limits, Reader, StreamInfo};
 use crate::recorder::Compression;
@@ -155,6 +156,7 @@ impl Rewriter {
         synced.map_err(|error| Error::create(&self.goal, error))?;
         std::fs::rename(&self.beside, &self.goal).map_err(|error| Error::create(&self.goal, error))?;
         self.done = true;
+        sync_folder_of(&self.goal);
         Ok(())
     }
 }

@@ -2,8 +2,8 @@
 
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A file with a buffer that goes quiet once it has failed. The MCAP writer ends its file when it is dropped; after a
 /// failure that must not touch what is good.
@@ -12,13 +12,14 @@ pub(crate) struct Sink {
     file: File,
     buffer: Vec<u8>,
     quiet: Arc<AtomicBool>,
+    checksum: Arc<Mutex<crc32fast::Hasher>>,
 }
 
 const BUFFER: usize = 256 << 10;
 
 impl Sink {
     pub(crate) fn new(file: File) -> Self {
-        Self { file, buffer: Vec::with_capacity(BUFFER), quiet: Arc::default() }
+        Self { file, buffer: Vec::with_capacity(BUFFER), quiet: Arc::default(), checksum: Arc::default() }
     }
 
     /// Once set, nothing is written any more and nothing fails.
@@ -26,8 +27,18 @@ impl Sink {
         self.quiet.clone()
     }
 
+    /// Of all that went to the file, CRC-32.
+    pub(crate) fn checksum(&self) -> Arc<Mutex<crc32fast::Hasher>> {
+        self.checksum.clone()
+    }
+
+    fn count(&self, bytes: &[u8]) {
+        self.checksum.lock().unwrap_or_else(PoisonError::into_inner).update(bytes);
+    }
+
     fn empty(&mut self) -> std::io::Result<()> {
         let result = self.file.write_all(&self.buffer);
+        self.count(&self.buffer);
         self.buffer.clear();
         result
     }
@@ -43,6 +54,7 @@ impl Write for Sink {
         }
         if bytes.len() >= BUFFER {
             self.file.write_all(bytes)?;
+            self.count(bytes);
         } else {
             self.buffer.extend_from_slice(bytes);
         }

@@ -6,6 +6,7 @@ use serde::Serialize;
 use vergence_sense::Event;
 
 use crate::error::Error;
+use crate::header::{FAILED, REPAIRED};
 use crate::message::{ClockKind, Times};
 use crate::messages::times_of;
 use crate::reader::{Ending, Entry, Place, Reader};
@@ -20,8 +21,12 @@ pub struct Survey {
     pub bytes: u64,
     /// The file ends as it should.
     pub complete: bool,
-    /// Where it was cut off, otherwise.
+    /// Where it was cut off, or ended because the recording failed, otherwise.
     pub cut_off_at: Option<u64>,
+    /// Why the recording failed, where it did (a full disk): the file ends early, or was made of one that does.
+    pub failed: Option<String>,
+    /// What a repair found missing, where the file was made by one: `key value` after `key value`.
+    pub repaired: Option<String>,
     /// Messages that were read.
     pub messages: u64,
     /// From the first arrival to the last, seconds.
@@ -103,39 +108,37 @@ pub struct Finding {
 }
 
 /// Times between captures, counted and summed up in classes of 1/16 octave: the median is the mean of its class, exact
-/// where times are even and to 5 % elsewhere, in 16 KiB.
-#[derive(Clone, Debug)]
-struct Intervals(Vec<(u64, u64)>);
+/// where times are even and to 5 % elsewhere. As many classes as there were: a file may have 65,536 streams.
+#[derive(Clone, Debug, Default)]
+struct Intervals(BTreeMap<u32, (u64, u64)>);
 
 impl Intervals {
     const PER_OCTAVE: u32 = 16;
 
     fn add(&mut self, nanos: i64) {
         let class = match u64::try_from(nanos) {
-            Ok(nanos @ 1..) => ((nanos as f64).log2() * f64::from(Self::PER_OCTAVE)) as usize + 1,
+            Ok(nanos @ 1..) => ((nanos as f64).log2() * f64::from(Self::PER_OCTAVE)) as u32 + 1,
             _ => 0,
         };
-        let last = self.0.len() - 1;
-        let (count, sum) = &mut self.0[class.min(last)];
+        let (count, sum) = self.0.entry(class).or_default();
         *count += 1;
         *sum = sum.saturating_add(u64::try_from(nanos).unwrap_or(0));
     }
 
     /// The median, nanoseconds, and how many are more than twice as long.
     fn median_and_gaps(&self) -> Option<(f64, u64)> {
-        let total: u64 = self.0.iter().map(|(count, _)| count).sum();
+        let total: u64 = self.0.values().map(|(count, _)| count).sum();
         let mut below = 0;
-        let class = self.0.iter().position(|(count, _)| {
+        let (&class, &(count, sum)) = self.0.iter().find(|(_, (count, _))| {
             below += count;
-            below * 2 >= total && total > 0
+            below * 2 >= total
         })?;
         if class == 0 {
             return None;
         }
-        let (count, sum) = self.0[class];
         let median = sum as f64 / count as f64;
         // One class more than an octave, so that twice the median itself is no gap.
-        let gaps = self.0.iter().skip(class + Self::PER_OCTAVE as usize + 1).map(|(count, _)| count).sum();
+        let gaps = self.0.range(class + Self::PER_OCTAVE + 1..).map(|(_, (count, _))| count).sum();
         Some((median, gaps))
     }
 }
@@ -204,7 +207,7 @@ impl Watched {
             last: None,
             first: None,
             longest: 0,
-            intervals: Intervals(vec![(0, 0); 64 * Intervals::PER_OCTAVE as usize + 1]),
+            intervals: Intervals::default(),
             line: Line::default(),
         }
     }
@@ -304,14 +307,27 @@ impl Survey {
             })
             .collect();
         streams.sort_by(|a, b| a.name.cmp(&b.name));
-        let cut_off_at = match reader.ending() {
-            Some(Ending::CutOff { at }) => Some(at),
-            _ => None,
+        let (cut_off_at, has_failed) = match reader.ending() {
+            Some(Ending::CutOff { at }) => (Some(at), false),
+            Some(Ending::Failed { at }) => (Some(at), true),
+            _ => (None, false),
         };
+        let note = |wanted: &str| {
+            let found = reader.metadata().iter().rfind(|(name, _)| name == wanted);
+            found.map(|(_, note)| note)
+        };
+        let why = note(FAILED).and_then(|note| note.get("reason")).cloned();
+        let unsaid = || has_failed.then(|| "there was no room to say why".to_owned());
+        let repaired = note(REPAIRED).map(|note| {
+            let pairs: Vec<String> = note.iter().map(|(key, value)| format!("{key} {value}")).collect();
+            pairs.join(", ")
+        });
         Self {
             bytes: reader.progress().1,
             complete: reader.ending() == Some(Ending::Complete),
             cut_off_at,
+            failed: why.or_else(unsaid),
+            repaired,
             messages,
             duration_s: extent.map_or(0.0, |(low, high)| (high as f64 - low as f64) * 1e-9),
             arrived_ns: extent,

@@ -1,8 +1,8 @@
 //! The thread that writes: takes messages out of the queues in the order of their arrival, puts them into chunks, and
 //! ends a chunk in time.
 
-use std::collections::BTreeMap;
-use std::fs::{File, TryLockError};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 #[cfg(unix)]
 use std::os::unix::fs::FileTypeExt as _;
@@ -17,10 +17,12 @@ use vergence_sense::Event;
 use vergence_time::Timestamp;
 
 use crate::error::Error;
+use crate::file::{claim, close_at};
 use crate::header::{Header, PROFILE, SESSION};
-use crate::lane::{LaneEnd, Prefix, Shared};
+use crate::lane::{LaneEnd, Next, Prefix, Shared, next};
 use crate::message::{Message, StreamDesc, Times};
 use crate::recorder::{Compression, Options};
+use crate::records::{HEAD, put_channel, put_schema};
 use crate::sink::Sink;
 use crate::wire::Encoder;
 
@@ -28,8 +30,12 @@ use crate::wire::Encoder;
 const POLL: Duration = Duration::from_millis(5);
 /// Bytes that MCAP puts in front of a message.
 const MESSAGE_HEAD: u64 = 31;
+/// How long another thread takes to hand over a message, where it was interrupted meanwhile.
+const HANDING_OVER: Duration = Duration::from_micros(50);
 /// Messages between two looks at the clock.
 const BATCH: usize = 256;
+/// Chunks after which all streams are announced again: half a minute of them, where they end by time.
+const ANNOUNCE_EVERY: u32 = 60;
 
 /// What the recorder asks of its thread.
 #[derive(Debug)]
@@ -83,11 +89,29 @@ impl StreamRecord {
     }
 }
 
+/// What became of a look at the queues.
+enum Drained {
+    /// Nothing is left.
+    Empty,
+    /// There may be more.
+    Part,
+    /// There is more, and a message that may come before it is being handed over.
+    Waits,
+}
+
 /// What is known of a stream while it is written.
 #[derive(Debug, Default)]
 struct Known {
     name: String,
     next: u32,
+}
+
+/// What announces a stream, as records.
+#[derive(Debug)]
+struct Announcement {
+    schema_id: u16,
+    schema: Vec<u8>,
+    channel: Vec<u8>,
 }
 
 #[derive(Debug)]
@@ -121,6 +145,8 @@ pub(crate) struct Writer {
     path: PathBuf,
     options: Options,
     mcap: mcap::Writer<Sink>,
+    /// Checksum of all bytes so far.
+    checksum: Arc<Mutex<crc32fast::Hasher>>,
     /// A second handle of the same file, to sync it and to cut it off.
     file: File,
     quiet: Arc<AtomicBool>,
@@ -131,10 +157,17 @@ pub(crate) struct Writer {
     /// Who waits for the disk.
     waiters: Vec<Sender<()>>,
     streams: Vec<Option<Known>>,
+    /// In the order in which they were added, and how many of them were announced outside of their chunk.
+    announcements: Vec<Announcement>,
+    announced: usize,
+    /// Chunks since all were.
+    chunks: u32,
     payload: Vec<u8>,
     /// Since when something waits to be flushed, and how much.
     waiting_since: Option<Instant>,
     waiting_bytes: u64,
+    /// Since when a message is being handed over that may come before the others.
+    waits_since: Option<Instant>,
     /// Up to here the file is complete.
     good: u64,
     last_arrived: Timestamp,
@@ -165,14 +198,16 @@ impl Writer {
             let found = "expected a file to write to, found a pipe, which cannot be read from its end";
             return Err(refused(std::io::Error::new(std::io::ErrorKind::InvalidInput, found)));
         }
-        let file = claim(path).map_err(refused)?;
+        let file = claim(path, options.durable).map_err(refused)?;
         let sink = Sink::new(file.try_clone().map_err(refused)?);
-        let quiet = sink.quiet();
-        let mcap = write_options(options.compression, None).create(sink);
+        let (quiet, checksum) = (sink.quiet(), sink.checksum());
+        // Not over what goes past that writer: ours is put in at the end.
+        let mcap = write_options(options.compression, None).calculate_data_section_crc(false).create(sink);
         let mut writer = Self {
             path: path.to_owned(),
             options: *options,
             mcap: mcap.map_err(|error| refused(Failed::from(error).into_io()))?,
+            checksum,
             file,
             quiet,
             shared,
@@ -181,9 +216,13 @@ impl Writer {
             lanes: Vec::new(),
             waiters: Vec::new(),
             streams: Vec::new(),
+            announcements: Vec::new(),
+            announced: 0,
+            chunks: 0,
             payload: Vec::with_capacity(64 << 10),
             waiting_since: None,
             waiting_bytes: 0,
+            waits_since: None,
             good: 0,
             last_arrived: Timestamp::default(),
             own_sequence: 0,
@@ -219,14 +258,20 @@ impl Writer {
         loop {
             // Looked at before the queues: what was written before the stop is in them.
             let stopping = self.shared.stop.load(Ordering::Acquire);
+            self.shared.look();
             self.obey()?;
-            let more = self.drain()?;
+            let drained = self.drain()?;
             let age = self.waiting_since.map_or(Duration::ZERO, |since| since.elapsed());
             if age >= self.options.chunk_every {
                 self.flush()?;
             }
-            if more {
-                continue;
+            match drained {
+                Drained::Empty => {}
+                Drained::Part => continue,
+                Drained::Waits => {
+                    std::thread::sleep(HANDING_OVER);
+                    continue;
+                }
             }
             if !self.waiters.is_empty() {
                 // What they had written when they asked was in the queues, which are empty now.
@@ -246,7 +291,11 @@ impl Writer {
         }
         // The last chunk is good before the summary is begun: a disk that is full then loses the summary only.
         self.flush()?;
+        let checksum = self.checksum.lock().unwrap_or_else(PoisonError::into_inner).clone().finalize();
         self.mcap.finish()?;
+        // Into the record that ends the data, which stands where the last chunk ended: opcode, length, checksum.
+        self.file.seek(SeekFrom::Start(self.good + HEAD as u64))?;
+        self.file.write_all(&checksum.to_le_bytes())?;
         if self.options.durable {
             self.file.sync_all()?;
         }
@@ -277,6 +326,11 @@ impl Writer {
     fn add_stream(&mut self, record: StreamRecord) -> Result<(), Failed> {
         let schema = self.mcap.add_schema(&record.schema, "protobuf", &record.descriptor)?;
         self.mcap.add_channel_with_id(record.id, schema, &record.name, "protobuf", &record.metadata)?;
+        let mut announcement = Announcement { schema_id: schema, schema: Vec::new(), channel: Vec::new() };
+        put_schema(schema, &record.schema, "protobuf", &record.descriptor, &mut announcement.schema);
+        let ids = (record.id, schema);
+        put_channel(ids, &record.name, "protobuf", &record.metadata, &mut announcement.channel);
+        self.announcements.push(announcement);
         let index = usize::from(record.id);
         if self.streams.len() <= index {
             self.streams.resize_with(index + 1, || None);
@@ -326,25 +380,39 @@ impl Writer {
         self.flush()
     }
 
-    /// Writes what is in the queues, at most a batch; whether there may be more.
-    fn drain(&mut self) -> Result<bool, Failed> {
+    /// Writes what is in the queues, at most a batch.
+    fn drain(&mut self) -> Result<Drained, Failed> {
         for _ in 0..BATCH {
-            let mut first: Option<(usize, Prefix)> = None;
-            for (index, lane) in self.lanes.iter_mut().enumerate() {
-                if let Some(prefix) = lane.peek()
-                    && first.is_none_or(|(_, earliest)| prefix.order < earliest.order)
-                {
-                    first = Some((index, prefix));
+            let (index, prefix) = match next(&mut self.lanes, true) {
+                Next::None => return Ok(Drained::Empty),
+                Next::Soon => {
+                    let since = *self.waits_since.get_or_insert_with(Instant::now);
+                    // As long as a chunk may take: a thread that is held up for longer does not hold up the others.
+                    match next(&mut self.lanes, false) {
+                        Next::Of(index, prefix) if since.elapsed() >= self.options.chunk_every => {
+                            (index, prefix)
+                        }
+                        _ => return Ok(Drained::Waits),
+                    }
                 }
+                Next::Of(index, prefix) => {
+                    self.waits_since = None;
+                    (index, prefix)
+                }
+            };
+            let lanes = self.lanes.len();
+            self.obey()?;
+            if self.lanes.len() > lanes {
+                // A new one, which may have something that comes before.
+                continue;
             }
-            let Some((index, prefix)) = first else { return Ok(false) };
             let mut payload = std::mem::take(&mut self.payload);
             self.lanes[index].take(&mut payload);
             let written = self.message(prefix, &payload);
             self.payload = payload;
             written?;
         }
-        Ok(true)
+        Ok(Drained::Part)
     }
 
     fn message(&mut self, prefix: Prefix, payload: &[u8]) -> Result<(), Failed> {
@@ -400,6 +468,7 @@ impl Writer {
     /// Ends the chunk and hands it to the system; with `durable`, to the disk.
     fn flush(&mut self) -> Result<(), Failed> {
         self.mcap.flush()?;
+        self.announce_again()?;
         if self.options.durable {
             self.file.sync_data()?;
         }
@@ -409,36 +478,43 @@ impl Writer {
         Ok(())
     }
 
+    /// What a chunk announced is announced behind it, too, and now and then all is: nothing that is damaged is the only one to say
+    /// what the messages of a stream are. Past the MCAP writer, which announces once and asks the file where it is.
+    fn announce_again(&mut self) -> Result<(), Failed> {
+        if self.announcements.len() == 1 {
+            // Its own, of a file that just begins: with the first others.
+            return Ok(());
+        }
+        self.chunks += 1;
+        let first = if self.chunks >= ANNOUNCE_EVERY { 0 } else { self.announced };
+        let mut schemas = BTreeSet::new();
+        let mut records = Vec::new();
+        for announcement in &self.announcements[first..] {
+            if schemas.insert(announcement.schema_id) {
+                records.extend_from_slice(&announcement.schema);
+            }
+            records.extend_from_slice(&announcement.channel);
+        }
+        self.file.write_all(&records)?;
+        self.checksum.lock().unwrap_or_else(PoisonError::into_inner).update(&records);
+        self.announced = self.announcements.len();
+        if first == 0 {
+            self.chunks = 0;
+        }
+        Ok(())
+    }
+
     /// The file ends where it was last complete, with an ending if there is room for one.
     fn fail(&mut self, failed: Failed) {
         self.shared.failed.store(true, Ordering::Release);
         self.quiet.store(true, Ordering::Release);
         let source = Arc::new(failed.into_io());
-        if let Err(error) = close_at(&mut self.file, self.good) {
+        if let Err(error) = close_at(&mut self.file, self.good, &source.to_string()) {
             log::warn!("{}: the file has no ending, which a repair gives it: {error}", self.path.display());
         }
         let error = Error::Write { path: self.path.clone(), good_bytes: self.good, source };
         *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
     }
-}
-
-/// Opens a file to be written from its beginning, once nobody else records to it.
-fn claim(path: &Path) -> std::io::Result<File> {
-    // Not cut off before it is known to be ours alone.
-    let file = File::options().write(true).create(true).truncate(false).open(path)?;
-    match file.try_lock() {
-        Ok(()) => {}
-        Err(TryLockError::WouldBlock) => {
-            let found = "expected a file that nobody writes, found one that another recording is writing";
-            return Err(std::io::Error::new(std::io::ErrorKind::ResourceBusy, found));
-        }
-        // Some file systems have no locks.
-        Err(TryLockError::Error(error)) => log::info!("{}: cannot be locked: {error}", path.display()),
-    }
-    if file.metadata()?.is_file() {
-        file.set_len(0)?;
-    }
-    Ok(file)
 }
 
 /// The writer of files of this format; without `chunk_bytes`, chunks end when they are told to.
@@ -456,23 +532,4 @@ pub(crate) fn write_options(compression: Compression, chunk_bytes: Option<u64>) 
         .chunk_size(chunk_bytes)
         // Chunks are put together in memory and written whole: a kill never leaves a header that was not patched.
         .disable_seeking(true)
-}
-
-/// Cuts the file off at `good` and writes the shortest ending that MCAP allows: no summary, no checksums.
-fn close_at(file: &mut File, good: u64) -> std::io::Result<()> {
-    file.set_len(good)?;
-    file.seek(SeekFrom::Start(good))?;
-    let mut ending = Vec::with_capacity(64);
-    ending.push(mcap::records::op::DATA_END);
-    ending.extend_from_slice(&4u64.to_le_bytes());
-    ending.extend_from_slice(&[0; 4]);
-    ending.push(mcap::records::op::FOOTER);
-    ending.extend_from_slice(&20u64.to_le_bytes());
-    ending.extend_from_slice(&[0; 20]);
-    ending.extend_from_slice(mcap::MAGIC);
-    if let Err(error) = file.write_all(&ending) {
-        file.set_len(good)?;
-        return Err(error);
-    }
-    file.sync_data()
 }

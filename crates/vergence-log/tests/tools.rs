@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use tempfile::TempDir;
 use vergence_log::{
-    Error, Header, Limits, Options, Part, Reader, Recorder, StreamDesc, Survey, Times, cut, diff, merge,
-    repair,
+    Compression, Error, Header, Limits, Options, Part, Reader, Recorder, Row, StreamDesc, Survey, Times, cut,
+    diff, merge, repair,
 };
-use vergence_sense::{RawPose, RawView, RawViews, Scalar, Validity, Vector2};
+use vergence_sense::{RawPose, RawView, RawViews, Scalar, Touch, TouchPhase, Validity, Vector2};
 use vergence_time::Timestamp;
 
 fn at(nanos: i64) -> Timestamp {
@@ -242,7 +242,15 @@ fn a_part_ends_after_it_begins() {
     assert_eq!(refused, "/no/such/folder/part.mcap: cannot be created");
 }
 
-/// The first chunk announces a stream and is damaged, and so is the summary that would announce it again.
+/// What announces a stream outside of chunks is made unreadable: its name is text no more.
+fn silence(bytes: &mut [u8], stream: &str) -> usize {
+    let places: Vec<usize> =
+        (0..bytes.len() - stream.len()).filter(|&at| bytes[at..].starts_with(stream.as_bytes())).collect();
+    places.iter().for_each(|&at| bytes[at] = 0xff);
+    places.len()
+}
+
+/// The first chunk announces a stream and is damaged, and so is all that would announce it again.
 fn without_announcement(dir: &Path) -> (PathBuf, u64) {
     let path = dir.join("a.mcap");
     let mut recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
@@ -267,6 +275,7 @@ fn without_announcement(dir: &Path) -> (PathBuf, u64) {
     }
     let mut bytes = std::fs::read(&path).unwrap();
     bytes[first as usize + 100] ^= 1;
+    assert!(silence(&mut bytes, "/early") >= 2, "behind the chunk and in the summary");
     // The footer: opcode and length, where the summary begins, where its offsets begin, its checksum; then the magic.
     let footer = bytes.len() - 8 - 20 - 9;
     let summary = u64::from_le_bytes(bytes[footer + 9..footer + 17].try_into().unwrap()) as usize;
@@ -284,7 +293,7 @@ fn a_stream_whose_announcement_is_lost_is_one_place_of_damage() {
     let found = repair(&path, &dir.path().join("mended.mcap"), Limits::default(), &mut |_, _| {}).unwrap();
     assert!(lost >= 200, "{lost}");
     assert_eq!(found.unannounced, [(1, lost)].into());
-    let of_stream = found.damaged.iter().filter(|place| place.contains("number 1")).count();
+    let of_stream = found.damaged.iter().filter(|place| place.contains("found number 1")).count();
     assert_eq!((of_stream, found.damaged_count), (1, found.damaged.len() as u64), "{:?}", found.damaged);
     assert!(!found.was_complete);
 }
@@ -299,4 +308,77 @@ fn a_damaged_summary_costs_no_chunk() {
     assert_eq!(found.messages, 50, "{found:?}");
     let late = Reader::read_all::<Vector2>(&mended, "/late").unwrap();
     assert!(late.iter().map(|sample| sample.value.0).eq((300..350).map(|step| Some([step as f32, 0.0]))));
+}
+
+/// A bit of the chunk that announces all streams, in a recording that was killed: the rest is there.
+#[test]
+fn streams_are_announced_more_than_once() {
+    let dir = TempDir::new().unwrap();
+    let path = dir.path().join("a.mcap");
+    let options = Options { compression: Compression::None, ..Options::default() };
+    let mut recorder = Recorder::create(&path, &Header::default(), &options).unwrap();
+    let x = recorder.stream::<Scalar>(&StreamDesc::new("/x").unit("m")).unwrap();
+    let y = recorder.stream::<Scalar>(&StreamDesc::new("/y")).unwrap();
+    for step in 0..200 {
+        recorder.write(&x, Times::at(at(step)), &Scalar(step as f64));
+        recorder.write(&y, Times::at(at(step)), &Scalar(-step as f64));
+        recorder.sync().unwrap();
+    }
+    // As a kill leaves it.
+    let killed = std::fs::read(&path).unwrap();
+    drop(recorder);
+    let whole = std::fs::read(&path).unwrap();
+    let first = Reader::open(&path).unwrap().next().unwrap().unwrap().place.offset as usize;
+    let (broken, mended) = (dir.path().join("broken.mcap"), dir.path().join("mended.mcap"));
+    let values = |bytes: &[u8]| {
+        std::fs::write(&broken, bytes).unwrap();
+        let found = repair(&broken, &mended, Limits::default(), &mut |_, _| {}).unwrap();
+        (Reader::read_all::<Scalar>(&mended, "/x").unwrap(), found)
+    };
+    let mut one_bit = killed.clone();
+    one_bit[first + 100] ^= 1;
+    let (x, found) = values(&one_bit);
+    assert!(x.iter().map(|sample| sample.value.0).eq((1..200).map(f64::from)), "{found:?}");
+    assert_eq!((found.damaged_count, found.unannounced.len()), (1, 0), "{found:?}");
+    assert_eq!(found.messages, 398);
+
+    // All that announced them at first: they are announced again.
+    let mut start = killed;
+    let length = start.iter().rposition(|_| true).unwrap().min(first + 4096);
+    assert!(silence(&mut start[..length], "/x") >= 2);
+    start[first + 100] ^= 1;
+    let (x, found) = values(&start);
+    let behind = 200 - x.len();
+    assert!((1..=61).contains(&behind) && found.damaged_count > 1, "{behind}: {found:?}");
+    assert!(x.iter().map(|sample| sample.value.0).eq((behind as i32..200).map(f64::from)));
+
+    // The checksum of the data counts what is announced again.
+    let footer = whole.len() - 8 - 20 - 9;
+    let summary = u64::from_le_bytes(whole[footer + 9..footer + 17].try_into().unwrap()) as usize;
+    let end = summary - 9 - 4;
+    assert_eq!(whole[end], 0x0f, "the record that ends the data");
+    assert_eq!(whole[end + 9..summary], crc32fast::hash(&whole[..end]).to_le_bytes());
+}
+
+/// The fields of every type of this room are named.
+#[test]
+fn a_difference_of_a_touch_or_a_row_is_named() {
+    let dir = TempDir::new().unwrap();
+    let write = |name: &str, x: f64| {
+        let path = dir.path().join(name);
+        let mut recorder = Recorder::create(&path, &Header::default(), &Options::default()).unwrap();
+        let touch = recorder.stream::<Touch>(&StreamDesc::new("/touch")).unwrap();
+        let row = recorder.stream::<Row<'_>>(&StreamDesc::new("/row")).unwrap();
+        let finger = Touch { contact: 1, position: [x, 0.0], phase: TouchPhase::Moves };
+        recorder.write(&touch, Times::at(at(1)), &finger);
+        recorder.write(&row, Times::at(at(1)), &Row { numbers: vec![1.0, x].into(), ..Row::default() });
+        recorder.finish().unwrap();
+        path
+    };
+    let found = diff(&write("a.mcap", 1.0), &write("b.mcap", 2.0), &mut |_, _| {}).unwrap();
+    let of = |name: &str| {
+        let stream = found.streams.iter().find(|stream| stream.name == name).unwrap();
+        stream.first_difference.as_ref().unwrap().fields[0].name.clone()
+    };
+    assert_eq!((of("/touch").as_str(), of("/row").as_str()), ("x", "numbers[1]"));
 }

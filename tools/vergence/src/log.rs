@@ -27,7 +27,7 @@ pub struct Args {
 enum Verb {
     /// What is in a log: its session and its streams, with type, unit, frame, rate, gaps, count, bytes
     Info(One),
-    /// Whether a log is well: complete or cut off, whole, in order of time, nothing dropped; how arrival follows
+    /// Whether a log is well: complete, cut off or of a recording that failed, whole, in order of time, nothing dropped; how arrival follows
     /// capture (exit status 1 where it is not)
     Check(One),
     /// Writes everything that is whole in a damaged log to a new one, and says what is missing
@@ -189,9 +189,15 @@ fn info(one: &One) -> Result<(), Failure> {
 }
 
 fn ending(survey: &Survey) -> String {
-    match survey.cut_off_at {
-        Some(at) => format!("cut off at byte {at}: 'vergence log repair' gives what is whole"),
-        None => "complete".to_owned(),
+    let end = match (survey.cut_off_at, &survey.failed) {
+        (Some(at), Some(why)) => format!("ended early at byte {at}: the recording failed ({why})"),
+        (Some(at), None) => format!("cut off at byte {at}: 'vergence log repair' gives what is whole"),
+        (None, Some(why)) => format!("complete, of a recording that failed ({why})"),
+        (None, None) => "complete".to_owned(),
+    };
+    match &survey.repaired {
+        Some(note) => format!("{end}, repaired ({note})"),
+        None => end,
     }
 }
 
@@ -270,7 +276,11 @@ fn check(one: &One) -> Result<(), Failure> {
     if well {
         return Ok(());
     }
-    let what = if survey.complete { "is complete, and not well" } else { "was cut off" };
+    let what = match (survey.complete, &survey.failed) {
+        (true, _) => "is complete, and not well",
+        (false, Some(_)) => "ended early: the recording failed",
+        (false, None) => "was cut off",
+    };
     let findings = match survey.findings_count {
         0 => String::new(),
         1 => " (1 finding)".to_owned(),
@@ -307,6 +317,9 @@ impl RepairArgs {
 fn told(output: &Path, found: &Repair) {
     println!("{}: {} messages", output.display(), found.messages);
     match found.cut_off_at {
+        Some(at) if found.recording_failed => {
+            println!("missing: what came after byte {at}, where the recording failed");
+        }
         Some(at) => println!(
             "missing: what came after byte {at} ({} bytes there are no whole record)",
             found.lost_bytes_at_end

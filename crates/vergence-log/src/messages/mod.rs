@@ -64,8 +64,10 @@ pub(crate) fn schema_of(type_name: &str) -> Option<&'static Schema> {
         sense::FrameHash,
         sense::Scalar,
         sense::Imu,
+        sense::Touch,
         sense::Image<'_>,
-        Compressed<'_>
+        Compressed<'_>,
+        Row
     );
     found.map(|(_, schema)| schema)
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::behind::Behind;
 use super::{Attachment, Ending, Found, Head, Place, Reader, StreamInfo};
 use crate::error::Error;
-use crate::header::{FORMAT_VERSION, Header, SESSION};
+use crate::header::{FORMAT_VERSION, Header, LIBRARY, SESSION};
 use crate::records::{Fields, MAGIC, Malformed, Record, note_bytes, op};
 
 impl Reader {
@@ -17,7 +17,7 @@ impl Reader {
         let taken = self.take_body(head, &body);
         self.body = body;
         if taken.is_err() {
-            self.behind = Some(Behind { offset: head.offset, next: head.offset + head.length });
+            self.behind = Some(Behind::new(head.offset, head.offset + head.length));
         }
         taken
     }
@@ -31,6 +31,10 @@ impl Reader {
         let record = Record::parse(head.opcode, body, self.room())
             .map_err(|malformed| self.damaged(offset, malformed))?;
         let taken = match record {
+            // Ours are in chunks, which have checksums: outside, where two pieces changed places, there is nothing to believe.
+            Record::Message(_) if self.library.starts_with(LIBRARY) => {
+                Err(Malformed::new("messages in chunks, as this library writes them", "one outside"))
+            }
             Record::Message(message) => {
                 let place = Place { offset, in_chunk: 0 };
                 return Ok(Some(Found::new(&message, place, false, body.len())));
@@ -42,9 +46,9 @@ impl Reader {
             Record::Chunk(chunk) => {
                 self.chunk_at = offset;
                 self.chunk_read = 0;
-                self.decompressor
-                    .decompress(&chunk, self.limits.record_bytes, &mut self.chunk)
-                    .inspect_err(|_| self.chunk.clear())
+                let done = self.decompressor.decompress(&chunk, self.limits.record_bytes, &mut self.chunk);
+                self.effort.decompressed(self.chunk.len() as u64);
+                done.inspect_err(|_| self.chunk.clear())
             }
             Record::Schema { id, name, encoding, data } => self.add_schema(id, name, encoding, data),
             Record::Channel { id, schema, topic, encoding, metadata } => {
@@ -53,10 +57,16 @@ impl Reader {
             Record::Metadata { name, metadata } => {
                 return self.add_metadata(offset, name, metadata).map(|()| None);
             }
-            Record::Footer => {
+            Record::Footer { summary_start } => {
                 let mut magic = [0; MAGIC.len()];
                 let whole = self.file.read_exact(&mut magic).is_ok() && magic == *MAGIC;
-                self.ending = Some(if whole { Ending::Complete } else { Ending::CutOff { at: self.at } });
+                // Ours have a summary, unless they could not be written on.
+                let failed = summary_start == 0 && self.library.starts_with(LIBRARY);
+                self.ending = Some(match (whole, failed) {
+                    (false, _) => Ending::CutOff { at: self.at },
+                    (true, true) => Ending::Failed { at: offset },
+                    (true, false) => Ending::Complete,
+                });
                 Ok(())
             }
             Record::Attachment | Record::DataEnd | Record::Other => Ok(()),
@@ -108,6 +118,7 @@ impl Reader {
         encoding: &str,
         metadata: BTreeMap<String, String>,
     ) -> Result<(), Malformed> {
+        let number = schema;
         let schema = match self.schemas.get(&schema) {
             Some((name, ..)) => name.clone(),
             // MCAP: messages without a schema.
@@ -132,7 +143,9 @@ impl Reader {
         let place = usize::from(id);
         if self.streams.len() <= place {
             self.streams.resize(place + 1, None);
+            self.schema_of.resize(place + 1, 0);
         }
+        self.schema_of[place] = number;
         self.streams[place] = Some(Arc::new(info));
         Ok(())
     }
