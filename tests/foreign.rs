@@ -83,6 +83,28 @@ fn an_euroc_folder_comes_back_as_it_was() {
     }
 }
 
+#[test]
+fn a_world_with_z_up_is_turned_where_that_is_asked_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (file, mcap, out) =
+        (folder.path().join("a.txt"), folder.path().join("a.mcap"), folder.path().join("out"));
+    // A quarter turn about the vertical, 3 m up.
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    std::fs::write(&file, format!("1.0 1 2 3 0 0 0 1\n2.0 1 2 3 0 0 {half} {half}\n")).expect("a file");
+    done(&["import", "tum", text(&file), "-o", text(&mcap), "--world", "y-up", "--json"]);
+    done(&["export", "tum", text(&mcap), "-o", text(&out), "--json"]);
+    let rows = numbers(&out.join("body.tum.txt"), ' ');
+    for (row, (x, y, z, w)) in rows.iter().zip([(-half, 0.0, 0.0, half), (-0.5, 0.5, 0.5, 0.5)]) {
+        let wanted = [1.0, 3.0, -2.0, x, y, z, w];
+        assert!(
+            row[1..].iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-6),
+            "{row:?}, expected {wanted:?}"
+        );
+    }
+    let refused = log(&["import", "csv", text(&file), "-o", text(&mcap), "--world", "y-up"]);
+    assert_eq!(refused.status.code(), Some(2), "{}", told(&refused));
+}
+
 /// Seventeen columns, of which the pose is kept: nanoseconds, position and quaternion (w first).
 #[test]
 fn eurocs_truth_comes_back_as_it_was() {

@@ -27,6 +27,12 @@ pub fn components(a_from_b: &Rigid) -> [f64; 7] {
     [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
 }
 
+/// Takes coordinates of a world whose z points up (x, y level: EuRoC, TUM, east-north-up) to one of ours (y up, −z forward): x stays,
+/// what pointed up still does, and y, which pointed ahead, becomes −z.
+pub fn y_up_from_z_up() -> Rigid {
+    Rigid::rotation(nalgebra::Vector3::x() * -std::f64::consts::FRAC_PI_2)
+}
+
 /// One eye of one frame: where it is and what it sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {

@@ -1,8 +1,8 @@
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, Translation3, UnitQuaternion};
 use vergence_config::{Duration, Length};
-use vergence_geom::Rigid;
+use vergence_geom::{Rigid, y_up_from_z_up};
 use vergence_time::{Span, Timestamp};
 
 use super::{
@@ -75,12 +75,6 @@ pub struct Motion {
     trajectory: Trajectory,
     stage_from_world: Rigid,
     body_from_head: Rigid,
-}
-
-/// Takes coordinates of a world whose z points up (x, y level) to one of ours (y up, −z forward): x stays, what
-/// pointed up still does, and y, which pointed ahead, becomes −z.
-pub fn y_up_from_z_up() -> Rigid {
-    Rigid::rotation(Vector3::x() * -std::f64::consts::FRAC_PI_2)
 }
 
 impl Motion {
@@ -222,6 +216,8 @@ impl PoseProvider for Motion {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
 
     const HEAD: &str = "[head-from-body]\nposition = [\"0 m\", \"0 m\", \"0 m\"]\nrotation = [0, 0, 0, 1]\n";

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use vergence_geom::Rigid;
+use vergence_geom::{Rigid, y_up_from_z_up};
 use vergence_inertial::Recording;
 use vergence_log::foreign::{Cells, Table, read_xdf};
 use vergence_log::{Compressed, Header, Options, Recorder, Row, Stream, StreamDesc, Times};
@@ -24,6 +24,9 @@ pub struct ImportArgs {
     /// The new log
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Which way the poses' world is turned (euroc, tum, broad)
+    #[arg(long, value_enum, default_value_t = World::AsRecorded)]
+    world: World,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
@@ -42,6 +45,24 @@ enum Kind {
     /// A table with a header (commas, semicolons or tabs); the first column is time: seconds, or with a name that ends in _ns, _us or
     /// _ms. Every column is numbers, whole numbers or text
     Csv,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum World {
+    /// As it is in the recording: the same numbers
+    AsRecorded,
+    /// From z up (EuRoC, TUM, BROAD) to y up and −z forward, as scenes have it
+    YUp,
+}
+
+impl World {
+    /// Ours from the recording's, and what is said of its axes.
+    fn turn(self) -> (Rigid, &'static str) {
+        match self {
+            Self::AsRecorded => (Rigid::identity(), "as in the recording (EuRoC, TUM: z up)"),
+            Self::YUp => (y_up_from_z_up(), "y up, -z forward (the recording: z up)"),
+        }
+    }
 }
 
 /// What is written, in order of time.
@@ -86,7 +107,7 @@ impl Gathered {
     }
 }
 
-/// Axes of foreign worlds are kept: what they are is a note on the stream.
+/// What the axes of a foreign world are is a note on the stream.
 const WORLD: &str = "world";
 
 impl ImportArgs {
@@ -107,11 +128,14 @@ impl ImportArgs {
                 format!("{}: expected another file than the recording itself", self.output.display());
             return Err(Failure::Call(message));
         }
+        if self.world != World::AsRecorded && matches!(self.kind, Kind::Xdf | Kind::Csv) {
+            return Err(Failure::Call("--world: expected a kind with poses: euroc, tum, broad".into()));
+        }
         let mut gathered = Gathered::default();
         match self.kind {
-            Kind::Euroc => euroc(&self.path, &mut gathered)?,
-            Kind::Tum => tum(&self.path, &mut gathered)?,
-            Kind::Broad => broad(&self.path, &mut gathered)?,
+            Kind::Euroc => euroc(&self.path, self.world, &mut gathered)?,
+            Kind::Tum => tum(&self.path, self.world, &mut gathered)?,
+            Kind::Broad => broad(&self.path, self.world, &mut gathered)?,
             Kind::Xdf => xdf(&self.path, &mut gathered)?,
             Kind::Csv => csv(&self.path, &mut gathered)?,
         }
@@ -229,20 +253,28 @@ fn write(output: &Path, header: &Header, gathered: &Gathered) -> Result<vergence
     Ok(status)
 }
 
-fn poses(trajectory: &Trajectory, name: &str, gathered: &mut Gathered) {
-    let desc = StreamDesc::new(name).frame(WORLD).note("axes", "as in the recording (EuRoC, TUM: z up)");
+fn poses(trajectory: &Trajectory, name: &str, world: World, gathered: &mut Gathered) {
+    let (ours_from_theirs, axes) = world.turn();
+    let desc = StreamDesc::new(name).frame(WORLD).note("axes", axes);
     let stream = gathered.stream(desc, Carries::Pose);
-    let item = |(at, pose): &(Timestamp, Rigid)| (Times::at(*at), Item::Pose(stream, Pose::tracked(*pose)));
+    let item = |(at, theirs_from_body): &(Timestamp, Rigid)| {
+        // What stays as it was stays to the last bit.
+        let pose = match world {
+            World::AsRecorded => *theirs_from_body,
+            World::YUp => ours_from_theirs * theirs_from_body,
+        };
+        (Times::at(*at), Item::Pose(stream, Pose::tracked(pose)))
+    };
     gathered.items.extend(trajectory.poses.iter().map(item));
 }
 
-fn tum(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
-    poses(&Trajectory::read(path).map_err(|error| Failure::work(&error))?, "/body", gathered);
+fn tum(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
+    poses(&Trajectory::read(path).map_err(|error| Failure::work(&error))?, "/body", world, gathered);
     Ok(())
 }
 
 /// What of EuRoC's folder is there: any of imu0, cam0…, state_groundtruth_estimate0.
-fn euroc(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
+fn euroc(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
     let inner = path.join("mav0");
     let rig = if inner.is_dir() { inner } else { path.to_owned() };
     let imu = rig.join("imu0");
@@ -257,7 +289,7 @@ fn euroc(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
         // Leica has positions only, which are no poses.
         if table.is_file() && truth != "leica0" {
             let trajectory = Trajectory::read(&table).map_err(|error| Failure::work(&error))?;
-            poses(&trajectory, &format!("/{truth}"), gathered);
+            poses(&trajectory, &format!("/{truth}"), world, gathered);
         }
     }
     for camera in (0..8).map(|index| format!("cam{index}")) {
@@ -302,7 +334,7 @@ fn euroc(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
     Ok(())
 }
 
-fn broad(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
+fn broad(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
     let recording = Recording::read(path).map_err(|error| Failure::work(&error))?;
     let imu = gathered.stream(StreamDesc::new("/imu").frame("imu"), Carries::Imu);
     gathered
@@ -311,12 +343,19 @@ fn broad(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
     if recording.truth.is_empty() {
         return Ok(());
     }
-    let desc = StreamDesc::new("/truth").frame("enu").note("axes", "earth (east, north, up) from sensor");
+    let (frame, axes) = match world {
+        World::AsRecorded => ("enu", "earth (east, north, up) from sensor"),
+        World::YUp => (WORLD, "y up (east, up, south) from sensor"),
+    };
+    let desc = StreamDesc::new("/truth").frame(frame).note("axes", axes);
     let truth = gathered.stream(desc, Carries::Pose);
     let movement = gathered.stream(StreamDesc::new("/movement"), Carries::Button);
     for ((at, _), said) in recording.samples.iter().zip(&recording.truth) {
         let pose = said.earth_from_sensor.map_or(Pose::LOST, |q| {
-            let c = q.coords;
+            let c = match world {
+                World::AsRecorded => q.coords,
+                World::YUp => (world.turn().0.rotation * q).coords,
+            };
             Pose::from_exact([0.0; 3], Tracking::Lost, [c.x, c.y, c.z, c.w], Tracking::Measured)
         });
         gathered.items.push((Times::at(*at), Item::Pose(truth, pose)));
