@@ -108,6 +108,24 @@ impl Conduct {
         self.journal.written()
     }
 
+    /// Whether this sitting is over before everything is done: as many trials as were asked for, or all of its session.
+    pub fn is_enough(&self, most_trials: Option<u64>) -> bool {
+        most_trials.is_some_and(|most| self.written() >= most) || self.is_session_done()
+    }
+
+    /// Why, in words.
+    pub fn why_enough(&self) -> String {
+        if self.is_session_done() {
+            "this session is done: --resume begins the next".to_owned()
+        } else {
+            "as many trials as were asked for".to_owned()
+        }
+    }
+
+    fn is_session_done(&self) -> bool {
+        self.written() > 0 && self.course.is_between_sessions()
+    }
+
     /// The study.
     pub fn study(&self) -> &Study {
         self.course.study()

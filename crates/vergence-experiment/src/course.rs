@@ -13,6 +13,9 @@ use crate::record::{Place, Record};
 const BLIND_S: f64 = 0.2;
 /// So is one in which so much time passes between two readings, seconds: the headset was off, or the session was lost.
 const GAP_S: f64 = 0.5;
+/// A movement with more samples is made again: nobody moves for that long (11 minutes at 150 Hz, 100 s at 1 kHz), and the log
+/// takes no more at once.
+const MOST_SAMPLES: usize = 100_000;
 /// Samples for which there is room from the beginning: 20 s at 90 Hz.
 const ROOM: usize = 1800;
 
@@ -83,7 +86,6 @@ enum Phase {
 pub struct Course {
     study: Study,
     plan: Plan,
-    session: String,
     place: Place,
     /// Misses that count, in the sequence under way.
     errors: u32,
@@ -103,7 +105,6 @@ impl Course {
         let mut course = Self {
             study: study.clone(),
             plan: study.plan(participant),
-            session: "1".to_owned(),
             place: Place::default(),
             errors: 0,
             phase: Phase::Start,
@@ -212,6 +213,21 @@ impl Course {
         }
     }
 
+    /// The session of the next trial, counted from 1, as it is written into trials; of the last one where all is done.
+    pub fn session(&self) -> String {
+        let block = self.plan.blocks.get(self.place.block as usize).or(self.plan.blocks.last());
+        (1 + block.map_or(0, |block| block.session)).to_string()
+    }
+
+    /// Whether the next trial is the first of a sitting behind others (see [`Study::sessions`]).
+    pub fn is_between_sessions(&self) -> bool {
+        let session = |block: u32| self.plan.blocks.get(block as usize).map(|block| block.session);
+        let Place { block, trial, attempt } = self.place;
+        (trial, attempt) == (0, 0)
+            && block > 0
+            && session(block).is_some_and(|own| session(block - 1) != Some(own))
+    }
+
     /// Where the block stands that is under way or comes next, in the study's order of instructions.
     pub fn instruction(&self) -> Option<&Instruction> {
         let block = self.plan.blocks.get(self.place.block as usize)?;
@@ -222,7 +238,7 @@ impl Course {
     pub fn dimensions(&self, flat: bool) -> usize {
         match self.study.geometry {
             Geometry::Reciprocal | Geometry::Edge => 1,
-            Geometry::Ray { .. } => 2,
+            Geometry::Ray { .. } | Geometry::Corner => 2,
             Geometry::Ring { .. } | Geometry::Depth | Geometry::Steering => 2 + usize::from(!flat),
         }
     }
@@ -273,6 +289,9 @@ impl Course {
             return if blind > BLIND_S { self.interrupt("the cursor was lost") } else { Step::Nothing };
         };
         self.seen = Some(at);
+        if self.samples.len() >= MOST_SAMPLES {
+            return self.interrupt("nothing was selected for very long");
+        }
         let t_s = at.since(began).map_or(0.0, Span::as_secs_f64);
         self.samples.push(CursorSample { t_s, position: cursor });
         let Some(planned) = self.planned() else { return Step::Nothing };
@@ -347,7 +366,7 @@ impl Course {
         let distance = |a: Point, b: Point| (Vector3::from(a) - Vector3::from(b)).norm();
         let trial = Trial {
             participant: self.plan.participant.clone(),
-            session: self.session.clone(),
+            session: self.session(),
             block: self.block_name(),
             condition: planned.condition.clone(),
             instruction: (self.study.instructions.len() > 1).then(|| instruction.name.clone()),
@@ -413,6 +432,8 @@ impl Course {
             let rest = Span::from_secs_f64(self.study.break_s).filter(|_| self.study.break_s > 0.0);
             if self.planned().is_none() {
                 self.phase = Phase::Done;
+            } else if self.is_between_sessions() {
+                // The rest is a night.
             } else if let Some((at, rest)) = at.zip(rest) {
                 self.phase = Phase::Break { until: at.saturating_add(rest) };
             }
@@ -447,8 +468,10 @@ impl Course {
         let half = target.width.map(|width| 0.5 * width);
         let off = Vector3::from(cursor) - Vector3::from(target.centre);
         match (self.study.geometry, half) {
-            (Geometry::Edge, _) | (_, None) => {
-                target.centre[0].signum() * cursor[0] >= target.centre[0].abs()
+            (Geometry::Edge | Geometry::Corner, _) | (_, None) => {
+                // Beyond the line, to each side to which the target is away from the middle.
+                let sides = if self.study.geometry == Geometry::Corner { 0..2 } else { 0..1 };
+                sides.into_iter().all(|i| target.centre[i].signum() * cursor[i] >= target.centre[i].abs())
             }
             (Geometry::Reciprocal, Some(half)) => off[0].abs() <= half,
             (Geometry::Ray { .. }, Some(half)) => {
@@ -599,6 +622,61 @@ mod tests {
         }
         let ended = ended.unwrap();
         assert!((ended.trial.mt_s - 0.3).abs() < 1e-9 && !ended.trial.error, "{}", ended.trial.mt_s);
+    }
+
+    #[test]
+    fn who_walks_away_makes_the_movement_again() {
+        let study = study(|text| text);
+        let mut course = Course::new(&study, "P01");
+        let done = clicked(&mut course, 0, 2, |goal, _| goal.centre);
+        let place = course.place();
+        let went = (1..=MOST_SAMPLES as i64 + 1).map(|ms| {
+            course.follow(&Reading {
+                at: at(done.len() as i64 * 500 + 400 + ms),
+                cursor: Some([0.0; 3]),
+                pressed: false,
+            })
+        });
+        let steps: Vec<Step> = went.filter(|step| *step != Step::Nothing).collect();
+        assert!(matches!(steps[..], [Step::Interrupted(_)]), "{steps:?}");
+        assert!(course.goal().unwrap().is_start && course.place() == place);
+    }
+
+    #[test]
+    fn sittings_end_between_sessions() {
+        let study = study(|text| text.replace("# sessions = 2", "sessions = 2"));
+        let mut course = Course::new(&study, "P07");
+        let first = clicked(&mut course, 0, 540, |goal, _| goal.centre);
+        assert!(course.is_between_sessions() && !course.is_done() && course.goal().unwrap().is_start);
+        assert!(first.iter().all(|record| record.trial.session == "1"));
+        let mut later = Course::new(&study, "P07");
+        later.resume(&first).unwrap();
+        assert!(later.is_between_sessions());
+        let second = clicked(&mut later, 0, usize::MAX, |goal, _| goal.centre);
+        assert!(second.len() == 540 && second.iter().all(|record| record.trial.session == "2"));
+        assert!(later.is_done() && !later.is_between_sessions() && later.progress() == (1080, 1080));
+    }
+
+    #[test]
+    fn edges_and_corners_have_no_far_side() {
+        for (kind, inside, beside) in [("edge", [9.0, 7.0], [0.05, 7.0]), ("corner", [9.0, 9.0], [9.0, 0.05])]
+        {
+            let study = study(|text| {
+                let text = text.replace("kind = \"ring\"", &format!("kind = \"{kind}\""));
+                text.replace("widths = [\"0.01 m\", \"0.02 m\", \"0.03 m\", \"0.04 m\"]", "")
+            });
+            let aim = |goal: &Goal, off: [f64; 2]| {
+                let [x, y, _] = goal.centre;
+                [x.signum() * off[0], if kind == "corner" { y.signum() * off[1] } else { off[1] }, 0.0]
+            };
+            let at = |goal: &Goal, n: usize| {
+                aim(goal, if goal.is_start || n.is_multiple_of(2) { inside } else { beside })
+            };
+            let records = clicked(&mut Course::new(&study, "P01"), 0, 8, at);
+            for (n, record) in records.iter().enumerate() {
+                assert_eq!((record.trial.error, record.trial.width), (n % 2 == 1, None), "{kind} {n}");
+            }
+        }
     }
 
     #[test]

@@ -55,8 +55,10 @@ pub fn window_size(study: &Study, how: &OnDesktop) -> Result<(u32, u32), Error> 
         Geometry::Depth => {
             return refuse("a task in depth needs a headset: --headset openxr or simulated".into());
         }
-        Geometry::Ring { plane: Plane::Yz | Plane::Zx, .. } => {
-            return refuse("a ring that is not upright (plane = \"yz\" or \"zx\") needs a headset".into());
+        Geometry::Ring { plane, .. } if plane != Plane::Xy => {
+            return refuse(
+                "a ring that does not face the viewer (plane is not \"xy\") needs a headset".into(),
+            );
         }
         _ => {}
     }
@@ -64,12 +66,13 @@ pub fn window_size(study: &Study, how: &OnDesktop) -> Result<(u32, u32), Error> 
         let (amplitude, width) = (0.5 * size.amplitude, 0.5 * size.width.unwrap_or(0.0));
         match study.geometry {
             Geometry::Ray { distance, .. } => distance * (amplitude + width).min(1.5).tan(),
+            Geometry::Corner => amplitude * std::f64::consts::FRAC_1_SQRT_2,
             _ => amplitude + width,
         }
     };
     let reach = study.sizes.iter().map(half).fold(0.0, f64::max);
-    let is_round = matches!(study.geometry, Geometry::Ring { .. } | Geometry::Ray { .. });
-    let high = if is_round { reach } else { 0.1 };
+    let is_high = matches!(study.geometry, Geometry::Ring { .. } | Geometry::Ray { .. } | Geometry::Corner);
+    let high = if is_high { reach } else { 0.1 };
     let pixels = |metres: f64| (metres / INCH_M * how.dpi).ceil().clamp(1.0, 16384.0) as u32;
     Ok((pixels(2.0 * (reach + MARGIN_M)), pixels(2.0 * (high + MARGIN_M + WORDS_M))))
 }
@@ -111,6 +114,9 @@ fn sit(
     let (mut cursor, mut pressed, mut closed): (Option<Point>, bool, bool) = (None, false, false);
     let mut happened: Vec<(Timestamp, Option<Point>, bool)> = Vec::with_capacity(256);
     let mut seen: Option<(Option<Goal>, u8)> = None;
+    // Behind the edge of a screen there is no way on: without it, edges and corners would be lines like any other.
+    let wants_walls = study.geometry.is_unbounded() && actor.is_none();
+    let mut has_walls = false;
     loop {
         happened.clear();
         let mut focus = None;
@@ -139,7 +145,12 @@ fn sit(
             seen = None;
         }
         match focus {
-            Some(false) => conduct.happened("headset", "the window lost the keyboard"),
+            Some(false) => {
+                conduct.happened("headset", "the window lost the keyboard");
+                if has_walls {
+                    has_walls = !window.confine(false);
+                }
+            }
             Some(true) => conduct.happened("headset", "the window has the keyboard"),
             None => {}
         }
@@ -156,8 +167,8 @@ fn sit(
             if let Step::Trial(_) = conduct.follow(&Reading { at, cursor, pressed })? {
                 let (done, all) = conduct.course().progress();
                 progress(done, all);
-                if how.most_trials.is_some_and(|most| conduct.written() >= most) {
-                    return Ok("as many trials as were asked for".to_owned());
+                if !conduct.course().is_done() && conduct.is_enough(how.most_trials) {
+                    return Ok(conduct.why_enough());
                 }
             }
         }
@@ -171,6 +182,9 @@ fn sit(
         let now = (course.goal(), kind);
         if seen != Some(now) && screen.draw(course)? {
             seen = Some(now);
+            if wants_walls && !has_walls {
+                has_walls = window.confine(true);
+            }
         }
         if course.is_done() {
             return Ok(String::new());

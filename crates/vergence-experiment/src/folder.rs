@@ -307,7 +307,10 @@ impl Folder {
             )));
         }
         about.part = part;
-        about.session = "1".to_owned();
+        let mut course = crate::Course::new(&self.study, &name);
+        // Where the logs do not fit together, whoever begins finds out.
+        let _ = course.resume(&records);
+        about.session = course.session();
         about.study = self.study.name.clone();
         about.study_file = self.study_text.clone();
         about.study_hash = self.manifest.study_hash.clone();

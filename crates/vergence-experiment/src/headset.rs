@@ -46,8 +46,10 @@ pub fn check(study: &Study, how: &InHeadset) -> Result<(), Error> {
         (HeadsetChoice::Auto, _) => refuse("--headset: expected openxr or simulated, found neither".into()),
         (HeadsetChoice::Simulated, Input::Simulated(_))
         | (HeadsetChoice::OpenXr, Input::Controller | Input::Hand) => {
-            if study.geometry == Geometry::Edge {
-                return refuse("a task at the edge of a screen needs one: --headset desktop".into());
+            if study.geometry.is_unbounded() {
+                return refuse(
+                    "a task at the edges or corners of a screen needs one: --headset desktop".into(),
+                );
             }
             Ok(())
         }
@@ -137,7 +139,7 @@ pub fn in_headset(
         (Some(error), _) => error.to_string(),
         (None, Err(error)) => error.to_string(),
         (None, Ok(_)) if config.stop.is_stopped() => "asked to stop".to_owned(),
-        (None, Ok(_)) if how.most_trials.is_some() => "as many trials as were asked for".to_owned(),
+        (None, Ok(_)) if conduct.is_enough(how.most_trials) => conduct.why_enough(),
         (None, Ok(_)) => "the session was ended".to_owned(),
     };
     let ended = conduct.finish(Some(&why));
@@ -258,8 +260,7 @@ impl Seat<'_> {
                 stage.place(node, place);
             }
         });
-        let enough = self.most_trials.is_some_and(|most| self.conduct.written() >= most);
-        Ok(!(self.conduct.course().is_done() || enough))
+        Ok(!(self.conduct.course().is_done() || self.conduct.is_enough(self.most_trials)))
     }
 }
 

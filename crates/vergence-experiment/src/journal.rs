@@ -158,6 +158,14 @@ impl Journal {
         let asked = Instant::now();
         self.recorder.sync()?;
         self.waits.push(asked.elapsed());
+        // The disk may be well, and the trial all the same too large for the way to it.
+        if self.recorder.status().dropped > 0 {
+            return Err(Error::Damaged {
+                path: self.path().to_owned(),
+                expected: "room for a trial".to_owned(),
+                found: format!("none for one of {} samples of the cursor", record.trial.samples.len()),
+            });
+        }
         self.written += 1;
         Ok(())
     }

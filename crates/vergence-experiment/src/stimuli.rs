@@ -77,7 +77,7 @@ impl Stimuli {
             });
         }
         let unit = |material: usize| match (study.geometry, flat) {
-            (Geometry::Reciprocal | Geometry::Steering | Geometry::Edge, _) => {
+            (Geometry::Reciprocal | Geometry::Steering | Geometry::Edge | Geometry::Corner, _) => {
                 Primitive { material, ..shapes::cuboid([1.0; 3]) }
             }
             (_, true) => upright(Primitive { material, ..shapes::cylinder(0.5, 0.001, 64) }),
@@ -91,7 +91,11 @@ impl Stimuli {
         };
         let count = match study.geometry {
             Geometry::Ring { targets, .. } | Geometry::Ray { targets, .. } => targets as usize,
-            Geometry::Reciprocal | Geometry::Depth | Geometry::Steering | Geometry::Edge => 2,
+            Geometry::Reciprocal
+            | Geometry::Depth
+            | Geometry::Steering
+            | Geometry::Edge
+            | Geometry::Corner => 2,
         };
         let targets = add(&mut scene, "target", unit(0));
         let mesh = scene.nodes[targets].mesh;
@@ -218,6 +222,11 @@ impl Stimuli {
                 let mut at = target.centre;
                 at[0] += at[0].signum() * 0.5 * BAR_M[0];
                 (at, Vector3::new(BAR_M[0], 3.0 * BAR_M[0], BAR_M[1]))
+            }
+            Geometry::Corner => {
+                let mut at = target.centre;
+                at.iter_mut().take(2).for_each(|at| *at += at.signum() * 0.5 * BAR_M[0]);
+                (at, Vector3::new(BAR_M[0], BAR_M[0], BAR_M[1]))
             }
             Geometry::Ray { distance, .. } => {
                 (target.centre, Vector3::repeat(2.0 * distance * (0.5 * width).tan()))

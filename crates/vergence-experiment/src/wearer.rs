@@ -107,6 +107,11 @@ impl Actor {
                 centre_m.x *= 1.1;
                 width = Some(0.1 * goal.centre[0].abs());
             }
+            // Into the corner, not onto its tip.
+            Geometry::Corner => {
+                centre_m *= 1.1;
+                width = Some(0.1 * goal.centre[0].abs());
+            }
             _ => {}
         }
         self.person.see(at, Seen { centre_m, width })

@@ -12,7 +12,8 @@ pub struct Page {
 
 const STYLE: &str = "
 :root { color-scheme: light dark; }
-body { font: 16px/1.5 system-ui, 'DejaVu Sans', Arial, sans-serif; max-width: 60rem; margin: 0 auto; padding: 1rem; }
+body { font: 16px/1.5 system-ui, 'DejaVu Sans', Arial, sans-serif; max-width: 70rem; margin: 0 auto; padding: 1rem; }
+p { max-width: 60rem; }
 h1 { font-size: 1.5rem; line-height: 1.2; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 figure { margin: 1rem 0; overflow-x: auto; } figure svg, figure img { max-width: 100%; height: auto; background: #fff; }
 figure svg { min-width: 36rem; }
@@ -24,6 +25,8 @@ th { position: sticky; top: 0; } th button { font: inherit; font-weight: 600; bo
   color: inherit; cursor: pointer; } th button::after { content: ' ↕'; opacity: 0.4; }
 th[aria-sort=ascending] button::after { content: ' ↑'; opacity: 1; }
 th[aria-sort=descending] button::after { content: ' ↓'; opacity: 1; }
+@media (max-width: 40rem) { figure::before, .wide::before { content: 'more to the right →'; display: block; position: sticky;
+  left: 0; font-size: 0.8rem; opacity: 0.7; } }
 tr.marked { background: #0072b222; font-weight: 600; }
 ";
 

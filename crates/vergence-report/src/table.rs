@@ -53,6 +53,24 @@ impl Table {
         self.rows.push(Row { cells, marked });
     }
 
+    /// Without the columns in which nothing was measured in any row.
+    #[must_use]
+    pub fn without_empty_columns(mut self) -> Self {
+        let is_there = |column: usize| self.rows.iter().any(|row| row.cells[column] != Cell::Empty);
+        let kept: Vec<bool> = (0..self.columns.len()).map(is_there).collect();
+        let keep = |place: &mut usize| {
+            *place += 1;
+            kept[*place - 1]
+        };
+        let mut place = 0;
+        self.columns.retain(|_| keep(&mut place));
+        for row in &mut self.rows {
+            place = 0;
+            row.cells.retain(|_| keep(&mut place));
+        }
+        self
+    }
+
     /// Aligned columns, two spaces apart; a line per row, the head first.
     pub fn to_text(&self) -> String {
         let body: Vec<Vec<String>> = self.rows.iter().map(|row| self.printed(&row.cells)).collect();
@@ -133,5 +151,11 @@ mod tests {
         assert_eq!(table.to_text(), expected);
         let html = table.to_html();
         assert!(html.contains("data-value=\"1.234e1\">12.3<") && html.contains("&lt;b&gt;"));
+        let narrow = table.without_empty_columns();
+        assert_eq!(narrow.columns.len(), 2);
+        assert_eq!(
+            narrow.to_text(),
+            "   knob       cost (ms)\n*  msaa 4          12.3\n   <b>     not a number\n"
+        );
     }
 }

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use vergence_stats::{Moments, linear};
 
 use crate::convention::{Axis, Conventions, Difficulty};
-use crate::measure::ends::{End, Ends, Sequence, end_of};
-use crate::measure::fitts::difficulty;
+use crate::measure::ends::{Effective, End, Ends, Sequence, end_of};
+use crate::measure::fitts::{difficulty, width_from_errors};
 use crate::measure::outlier::left_out;
 use crate::measure::path::of_path;
 use crate::tradeoff::{self, CafBin, ErrorModel, Stability, Who};
@@ -50,6 +50,9 @@ pub struct Row {
     pub outliers: u64,
     /// Ends and times.
     pub ends: Ends,
+    /// From the nominal sizes and the share of misses alone, as where ends were not recorded (see [`width_from_errors`]): no
+    /// spread, and the nominal amplitude.
+    pub by_errors: Effective,
     /// Means over the analysed trials.
     pub path: PathMeasures,
 }
@@ -86,6 +89,8 @@ pub struct Analysis {
     pub fit: Option<Fit>,
     /// As above.
     pub fit_xy: Option<Fit>,
+    /// Of mean movement time on nominal difficulty.
+    pub fit_nominal: Option<Fit>,
     /// Of each participant and session with three rows or more.
     pub fits: Vec<(String, String, Fit)>,
     /// Means by instruction.
@@ -271,13 +276,18 @@ fn blank_row(trial: &Trial) -> Row {
 
 /// The row of a sequence that is complete.
 pub fn finished(row: Row, sequence: &Sequence, conventions: &Conventions, dimensions: usize) -> Row {
+    let ends = sequence.measures(conventions, dimensions);
+    let we = row.width.zip(ends.error_rate).and_then(|(width, rate)| width_from_errors(width, rate));
+    let ide = row.amplitude.zip(we).and_then(|(a, w)| difficulty(conventions.difficulty, a, w));
+    let tp = ide.zip(ends.mt_s).filter(|(_, mt)| *mt > 0.0).map(|(ide, mt)| ide / mt);
     Row {
+        by_errors: Effective { amplitude: row.amplitude, sd: None, we, ide, tp },
         id: row.amplitude.zip(row.width).and_then(|(a, w)| difficulty(conventions.difficulty, a, w)),
         n: sequence.n(),
         trials: sequence.trials,
         errors: sequence.errors,
         outliers: sequence.outliers,
-        ends: sequence.measures(conventions, dimensions),
+        ends,
         ..row
     }
 }
@@ -314,6 +324,7 @@ pub fn summarised(
         conventions: conventions.clone(),
         exclusions,
         fit_xy: fit_of(&rows, |row| row.ends.xy.ide),
+        fit_nominal: fit_of(&rows, |row| row.id),
         fits,
         stability: tradeoff::stability(&rows),
         who: tradeoff::who_of(&rows, conventions),
@@ -326,9 +337,9 @@ pub fn summarised(
     }
 }
 
-fn fit_of(rows: &[Row], ide: impl Fn(&Row) -> Option<f64>) -> Option<Fit> {
+fn fit_of(rows: &[Row], bits: impl Fn(&Row) -> Option<f64>) -> Option<Fit> {
     let (x, y): (Vec<f64>, Vec<f64>) =
-        rows.iter().filter_map(|row| Some((ide(row)?, row.ends.mt_s?))).unzip();
+        rows.iter().filter_map(|row| Some((bits(row)?, row.ends.mt_s?))).unzip();
     if x.len() < 3 {
         return None;
     }

@@ -48,6 +48,9 @@ fn numbers(row: &Row) -> Vec<(&'static str, Option<f64>)> {
         ("trials", Some(row.trials as f64)),
         ("errors", Some(row.errors as f64)),
         ("outliers", Some(row.outliers as f64)),
+        ("we_error", row.by_errors.we),
+        ("ide_error", row.by_errors.ide),
+        ("tp_error", row.by_errors.tp),
     ]);
     all
 }
@@ -177,12 +180,14 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
         "summary": {
             "tp_mean_of_means": analysis.tp_mean_of_means(),
             "tp_xy_mean_of_means": analysis.tp_xy_mean_of_means(),
+            "tp_error_mean_of_means": analysis.mean(|row| row.by_errors.tp),
             "tp_mean_of_participants": analysis.tp_mean_of_participants(),
             "a": analysis.fit.map(|fit| fit.a),
             "b": analysis.fit.map(|fit| fit.b),
             "r": analysis.fit.and_then(|fit| fit.r),
             "fit": analysis.fit.as_ref().map(fit),
             "fit_xy": analysis.fit_xy.as_ref().map(fit),
+            "fit_nominal": analysis.fit_nominal.as_ref().map(fit),
             "error_rate": analysis.error_rate(),
             "mt_s": analysis.mean(|row| row.ends.mt_s),
             "ide": analysis.mean(|row| row.ends.x.ide),

@@ -8,6 +8,7 @@ mod design;
 mod export;
 mod import;
 pub mod measure;
+mod plan;
 mod report;
 mod study_file;
 mod task;
@@ -24,8 +25,9 @@ pub use export::{conditions_csv, summary_json, trials_csv};
 pub use import::{Column, ColumnMap, Imported, Maps, Scaled, Streamed, Tool, import, stream, together};
 #[cfg(feature = "parquet")]
 pub use import::{ParquetText, parquet_text, write_parquet};
+pub use plan::{Plan, PlannedBlock, PlannedTrial};
 pub use report::page;
-pub use study_file::{Instruction, Plan, PlannedBlock, PlannedTrial, Size, Study, TEMPLATE, Trigger};
+pub use study_file::{Instruction, Size, Study, TEMPLATE, Trigger};
 pub use task::{Geometry, Plane, Target, layout, real_amplitude};
 pub use tradeoff::{
     CafBin, ErrorModel, Level, Stability, Who, conditional_accuracy, error_model, front_of,

@@ -125,6 +125,7 @@ fn throughput(analysis: &Analysis) -> Table {
         ("sequences", 0),
         ("TP (bits/s)", 3),
         ("TP all dimensions", 3),
+        ("TP by misses", 3),
         ("MT (s)", 3),
         ("misses (%)", 1),
         ("SD along axis", 4),
@@ -140,6 +141,7 @@ fn throughput(analysis: &Analysis) -> Table {
             Cell::Number(rows.len() as f64),
             mean(&|row| row.ends.x.tp),
             mean(&|row| row.ends.xy.tp),
+            mean(&|row| row.by_errors.tp),
             mean(&|row| row.ends.mt_s),
             mean(&|row| row.ends.error_rate.map(|rate| 100.0 * rate)),
             mean(&|row| row.ends.x.sd),
@@ -152,7 +154,7 @@ fn throughput(analysis: &Analysis) -> Table {
     if groups.len() > 1 {
         line("all", &analysis.rows.iter().collect::<Vec<_>>(), true);
     }
-    table
+    table.without_empty_columns()
 }
 
 fn tooltip(row: &Row) -> String {
@@ -210,6 +212,14 @@ fn fitts(page: Page, analysis: &Analysis) -> Result<Page, Error> {
             shown(fit.r, 4, ""),
             1.0 / fit.b
         );
+        if let Some(nominal) = &analysis.fit_nominal {
+            text += &format!(
+                " On the nominal ID: a = {:.4} s, b = {:.4} s/bit, r = {}.",
+                nominal.a,
+                nominal.b,
+                shown(nominal.r, 4, "")
+            );
+        }
     }
     Ok(page.heading("Fitts' law").plot(&plot)?.paragraph(&text))
 }
@@ -350,7 +360,7 @@ fn sequences(analysis: &Analysis) -> Table {
         let cells = cells.chain(paths.iter().map(|i| number(row.path.values()[*i])));
         table.push(cells.collect(), false);
     }
-    table
+    table.without_empty_columns()
 }
 
 /// What was computed and how, in sentences for a paper.
@@ -421,6 +431,9 @@ fn methods(analysis: &Analysis) -> Vec<String> {
         ),
         axis.to_owned(),
         format!("{spread}; {reach}"),
+        "Throughput by misses takes nothing from the ends but how many missed: We = W · 2.066/z(1 − misses/2), and 0.5089 W where \
+         none did (MacKenzie 1992; Soukoreff and MacKenzie 2004), with the nominal amplitude."
+            .to_owned(),
         format!("{outliers} Misses are counted among all trials that are not practice."),
         format!(
             "{path} TRE, TAC, MDC, ODC, MV, ME and MO follow MacKenzie, Kauppinen and Silfverberg (2001)."

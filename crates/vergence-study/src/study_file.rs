@@ -1,4 +1,4 @@
-//! Study files: raw TOML → a checked study → the plan of one participant.
+//! Study files: raw TOML → a checked study.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -7,10 +7,8 @@ use serde::Deserialize;
 use vergence_config::{Angle, Duration, Length};
 
 use crate::Error;
-use crate::convention::Difficulty;
-use crate::design::{Order, mixed, number_of, shuffled};
-use crate::measure::fitts::difficulty;
-use crate::task::{Geometry, Plane, Target, layout};
+use crate::design::Order;
+use crate::task::{Geometry, Plane};
 
 /// A commented study file.
 pub const TEMPLATE: &str = include_str!("../template.toml");
@@ -25,11 +23,11 @@ struct Raw {
     #[serde(default)]
     selection: RawSelection,
     #[serde(default)]
-    factors: BTreeMap<String, Vec<String>>,
+    factors: BTreeMap<String, toml::Spanned<Vec<String>>>,
     #[serde(default)]
     instructions: Vec<RawInstruction>,
     #[serde(default)]
-    prediction: RawPrediction,
+    prediction: Option<RawPrediction>,
     #[serde(default)]
     order: RawOrder,
     trials: RawTrials,
@@ -44,6 +42,8 @@ struct RawStudy {
     #[serde(default)]
     seed: u64,
     participants: u32,
+    #[serde(default)]
+    sessions: Option<toml::Spanned<u32>>,
 }
 
 #[derive(Deserialize)]
@@ -53,9 +53,9 @@ struct RawTask {
     #[serde(default)]
     targets: Option<toml::Spanned<u32>>,
     #[serde(default)]
-    plane: RawPlane,
+    plane: Option<RawPlane>,
     #[serde(default)]
-    distance: Option<Length>,
+    distance: Option<toml::Spanned<Length>>,
     amplitudes: toml::Spanned<Vec<toml::Spanned<String>>>,
     #[serde(default)]
     widths: Option<toml::Spanned<Vec<toml::Spanned<String>>>>,
@@ -70,15 +70,48 @@ enum Kind {
     Ray,
     Steering,
     Edge,
+    Corner,
 }
 
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "expected a plane: \"xy\", \"yz\", \"zx\", or angles as in { yaw = \"30 deg\", pitch = \"45 deg\" }"
+)]
 enum RawPlane {
-    #[default]
+    Named(NamedPlane),
+    Turned(RawTurned),
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum NamedPlane {
     Xy,
     Yz,
     Zx,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawTurned {
+    #[serde(default)]
+    yaw: Option<Angle>,
+    #[serde(default)]
+    pitch: Option<Angle>,
+}
+
+impl RawPlane {
+    fn resolved(self) -> Plane {
+        match self {
+            Self::Named(NamedPlane::Xy) => Plane::Xy,
+            Self::Named(NamedPlane::Yz) => Plane::Yz,
+            Self::Named(NamedPlane::Zx) => Plane::Zx,
+            Self::Turned(RawTurned { yaw, pitch }) => {
+                let radians = |angle: Option<Angle>| angle.map_or(0.0, Angle::radians);
+                Plane::Turned { yaw_rad: radians(yaw), pitch_rad: radians(pitch) }
+            }
+        }
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -87,7 +120,7 @@ struct RawSelection {
     #[serde(default)]
     by: Trigger,
     #[serde(default)]
-    dwell: Option<Duration>,
+    dwell: Option<toml::Spanned<Duration>>,
 }
 
 /// How a target is selected.
@@ -106,7 +139,7 @@ pub enum Trigger {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawInstruction {
-    name: String,
+    name: toml::Spanned<String>,
     text: String,
     #[serde(default)]
     metronome: Option<toml::Spanned<f64>>,
@@ -117,14 +150,8 @@ struct RawInstruction {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RawPrediction {
-    a: Duration,
-    b: Duration,
-}
-
-impl Default for RawPrediction {
-    fn default() -> Self {
-        Self { a: Duration::new(0.1), b: Duration::new(0.2) }
-    }
+    a: toml::Spanned<Duration>,
+    b: toml::Spanned<Duration>,
 }
 
 #[derive(Default, Deserialize)]
@@ -142,8 +169,8 @@ struct RawTrials {
     #[serde(default)]
     practice: u32,
     per_condition: toml::Spanned<u32>,
-    #[serde(default = "once")]
-    repetitions: u32,
+    #[serde(default)]
+    repetitions: Option<toml::Spanned<u32>>,
     #[serde(default)]
     repeat_above_error: Option<toml::Spanned<f64>>,
     #[serde(default = "once")]
@@ -158,7 +185,7 @@ fn once() -> u32 {
 #[serde(deny_unknown_fields)]
 struct RawBreaks {
     #[serde(default)]
-    between_blocks: Option<Duration>,
+    between_blocks: Option<toml::Spanned<Duration>>,
 }
 
 /// A size of the task.
@@ -192,6 +219,8 @@ pub struct Study {
     pub seed: u64,
     /// People planned.
     pub participants: u32,
+    /// Sittings of each of them, each with all blocks.
+    pub sessions: u32,
     /// The task.
     pub geometry: Geometry,
     /// From the viewer, metres.
@@ -226,45 +255,6 @@ pub struct Study {
     pub break_s: f64,
 }
 
-/// One movement to come.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PlannedTrial {
-    /// Name of the condition.
-    pub condition: String,
-    /// Which size.
-    pub size: Size,
-    /// Levels of other factors.
-    pub factors: BTreeMap<String, String>,
-    /// Not analysed.
-    pub practice: bool,
-    /// Place in its sequence.
-    pub index: u32,
-    /// Where it comes from and where it goes.
-    pub from: Target,
-    /// As above.
-    pub to: Target,
-    /// Predicted movement time, seconds.
-    pub predicted_s: f64,
-}
-
-/// The movements under one instruction.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PlannedBlock {
-    /// Place in [`Study::instructions`].
-    pub instruction: usize,
-    /// In order.
-    pub trials: Vec<PlannedTrial>,
-}
-
-/// Everything one participant will do.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Plan {
-    /// Pseudonym.
-    pub participant: String,
-    /// In order.
-    pub blocks: Vec<PlannedBlock>,
-}
-
 impl Study {
     /// Reads a study file; `path` is for errors.
     ///
@@ -289,16 +279,38 @@ impl Study {
                 })
                 .collect()
         };
+        // Two alike would be one condition, analysed as one sequence of twice the length.
+        let different = |list: &toml::Spanned<Vec<toml::Spanned<String>>>, sizes: &[f64]| {
+            let again = (1..sizes.len()).find(|&i| sizes[..i].contains(&sizes[i]));
+            again.and_then(|i| list.get_ref().get(i)).map_or(Ok(()), |text| {
+                let message = format!("expected sizes that differ, found {} twice", text.get_ref());
+                Err(wrong(text.span().start, &message))
+            })
+        };
+        let seconds = |value: &Option<toml::Spanned<Duration>>, default: f64, least: f64| {
+            let Some(value) = value else { return Ok(default) };
+            let seconds = value.get_ref().seconds();
+            if seconds.is_finite() && seconds >= least {
+                return Ok(seconds);
+            }
+            let expected = if least > 0.0 { "above zero" } else { "of zero or more" };
+            Err(wrong(value.span().start, &format!("expected a time {expected}, found {seconds} s")))
+        };
         let amplitudes = sizes(&raw.task.amplitudes)?;
+        different(&raw.task.amplitudes, &amplitudes)?;
         let widths: Vec<Option<f64>> = match (&raw.task.widths, raw.task.kind) {
-            (None, Kind::Edge) => vec![None],
-            (Some(list), Kind::Edge) => {
+            (None, Kind::Edge | Kind::Corner) => vec![None],
+            (Some(list), Kind::Edge | Kind::Corner) => {
                 return Err(wrong(
                     list.span().start,
-                    "expected no widths: a target at the edge has none along the axis",
+                    "expected no widths: a target at an edge or in a corner has none along the axis",
                 ));
             }
-            (Some(list), _) => sizes(list)?.into_iter().map(Some).collect(),
+            (Some(list), _) => {
+                let widths = sizes(list)?;
+                different(list, &widths)?;
+                widths.into_iter().map(Some).collect()
+            }
             (None, _) => {
                 return Err(wrong(raw.task.amplitudes.span().start, "expected widths beside the amplitudes"));
             }
@@ -313,12 +325,16 @@ impl Study {
                 &format!("expected an odd number of targets from 3 to 999, found {targets}"),
             ));
         }
-        let distance = raw.task.distance.map_or(0.6, Length::metres);
-        let plane = match raw.task.plane {
-            RawPlane::Xy => Plane::Xy,
-            RawPlane::Yz => Plane::Yz,
-            RawPlane::Zx => Plane::Zx,
+        let distance = match &raw.task.distance {
+            None => 0.6,
+            Some(length) if length.get_ref().metres() > 0.0 => length.get_ref().metres(),
+            Some(length) => {
+                let message =
+                    format!("expected a distance above zero, found {} m", length.get_ref().metres());
+                return Err(wrong(length.span().start, &message));
+            }
         };
+        let plane = raw.task.plane.map_or(Plane::Xy, RawPlane::resolved);
         let geometry = match raw.task.kind {
             Kind::Ring => Geometry::Ring { targets, plane },
             Kind::Reciprocal => Geometry::Reciprocal,
@@ -326,9 +342,15 @@ impl Study {
             Kind::Ray => Geometry::Ray { targets, distance },
             Kind::Steering => Geometry::Steering,
             Kind::Edge => Geometry::Edge,
+            Kind::Corner => Geometry::Corner,
         };
-        let mut instructions = Vec::new();
+        let mut instructions: Vec<Instruction> = Vec::new();
         for one in raw.instructions {
+            let (name, place) = (one.name.get_ref(), one.name.span().start);
+            if name.trim().is_empty() || instructions.iter().any(|other| other.name == *name) {
+                let message = format!("expected a name that no other instruction has, found {name:?}");
+                return Err(wrong(place, &message));
+            }
             if let Some(pace) =
                 one.metronome.as_ref().filter(|pace| !(10.0..=1000.0).contains(pace.get_ref()))
             {
@@ -345,7 +367,7 @@ impl Study {
                 return Err(wrong(band.span().start, "expected a band [least, most] in percent, ascending"));
             }
             instructions.push(Instruction {
-                name: one.name,
+                name: one.name.into_inner(),
                 text: one.text,
                 metronome: one.metronome.map(|pace| pace.into_inner() / 100.0),
                 band: one.band.map(|band| band.into_inner().map(|percent| percent / 100.0)),
@@ -368,18 +390,44 @@ impl Study {
                 }
                 Ok(order)
             };
-        let cells = raw.factors.values().map(Vec::len).product::<usize>();
-        if cells == 0 {
-            return Err(wrong(
-                text.find("[factors]").unwrap_or(0),
-                "expected at least one level of each factor",
-            ));
+        for (factor, levels) in &raw.factors {
+            let place = levels.span().start;
+            let levels = levels.get_ref();
+            if levels.is_empty() {
+                return Err(wrong(place, &format!("expected at least one level of {factor}, found none")));
+            }
+            if let Some(i) = (1..levels.len()).find(|&i| levels[..i].contains(&levels[i])) {
+                let message = format!("expected levels of {factor} that differ, found {:?} twice", levels[i]);
+                return Err(wrong(place, &message));
+            }
         }
+        let cells = raw.factors.values().map(|levels| levels.get_ref().len()).product::<usize>();
+        let repetitions = raw.trials.repetitions.as_ref().map_or(1, |times| *times.get_ref());
+        if let Some(times) = raw.trials.repetitions.as_ref().filter(|_| repetitions == 0) {
+            return Err(wrong(times.span().start, "expected at least one repetition, found 0"));
+        }
+        let prediction = match raw.prediction {
+            None => [0.1, 0.2],
+            Some(RawPrediction { a, b }) => {
+                let place = b.span().start;
+                let both = [seconds(&Some(a), 0.0, 0.0)?, seconds(&Some(b), 0.0, 0.0)?];
+                if both == [0.0; 2] {
+                    return Err(wrong(place, "expected a predicted time above zero, found a = b = 0 s"));
+                }
+                both
+            }
+        };
         let conditions = amplitudes.len() * widths.len() * cells;
         let per_condition = *raw.trials.per_condition.get_ref();
+        let sessions = raw.study.sessions.as_ref().map_or(1, |sessions| *sessions.get_ref());
+        if sessions == 0 {
+            let place = raw.study.sessions.map_or(0, |sessions| sessions.span().start);
+            return Err(wrong(place, "expected at least one session, found 0"));
+        }
         let all = (conditions * instructions.len())
+            .saturating_mul(sessions as usize)
             .saturating_mul((per_condition.saturating_add(raw.trials.practice)) as usize)
-            .saturating_mul(raw.trials.repetitions as usize);
+            .saturating_mul(repetitions as usize);
         if per_condition == 0 || all > MOST_TRIALS {
             let message = format!("expected from 1 to {MOST_TRIALS} trials in all, found {all}");
             return Err(wrong(raw.trials.per_condition.span().start, &message));
@@ -396,6 +444,7 @@ impl Study {
             name: raw.study.name,
             seed: raw.study.seed,
             participants: raw.study.participants,
+            sessions,
             geometry,
             distance,
             sizes: amplitudes
@@ -403,157 +452,19 @@ impl Study {
                 .flat_map(|&amplitude| widths.iter().map(move |&width| Size { amplitude, width }))
                 .collect(),
             trigger: raw.selection.by,
-            dwell_s: raw.selection.dwell.map_or(0.5, Duration::seconds),
-            factors: raw.factors,
+            dwell_s: seconds(&raw.selection.dwell, 0.5, f64::MIN_POSITIVE)?,
+            factors: raw.factors.into_iter().map(|(name, levels)| (name, levels.into_inner())).collect(),
             instruction_order: order(raw.order.instructions, Order::Williams, instructions.len())?,
             condition_order: order(raw.order.conditions, Order::Random, conditions)?,
             instructions,
-            prediction: [raw.prediction.a.seconds(), raw.prediction.b.seconds()],
+            prediction,
             practice: raw.trials.practice,
             per_condition,
-            repetitions: raw.trials.repetitions.max(1),
+            repetitions,
             repeat_above_error: raw.trials.repeat_above_error.map(toml::Spanned::into_inner),
             most_repeats: raw.trials.most_repeats,
-            break_s: raw.breaks.between_blocks.map_or(0.0, Duration::seconds),
+            break_s: seconds(&raw.breaks.between_blocks, 0.0, 0.0)?,
         })
-    }
-
-    /// Sizes × levels of the other factors.
-    pub fn conditions(&self) -> Vec<(Size, BTreeMap<String, String>)> {
-        let mut cells: Vec<BTreeMap<String, String>> = vec![BTreeMap::new()];
-        for (name, levels) in &self.factors {
-            cells = cells
-                .into_iter()
-                .flat_map(|cell| {
-                    levels.iter().map(move |level| {
-                        let mut cell = cell.clone();
-                        cell.insert(name.clone(), level.clone());
-                        cell
-                    })
-                })
-                .collect();
-        }
-        self.sizes.iter().flat_map(|size| cells.iter().map(move |cell| (*size, cell.clone()))).collect()
-    }
-
-    /// Predicted movement time of a size, seconds.
-    pub fn predicted_s(&self, size: Size) -> f64 {
-        let bits = size
-            .width
-            .and_then(|width| difficulty(Difficulty::Shannon, size.amplitude, width))
-            .unwrap_or(1.0);
-        self.prediction[0] + self.prediction[1] * bits
-    }
-
-    /// After how many participants the orders are balanced.
-    pub fn balanced_after(&self) -> usize {
-        let a = self.instruction_order.rows(self.instructions.len());
-        let b = self.condition_order.rows(self.conditions().len());
-        let gcd = |mut a: usize, mut b: usize| {
-            while b > 0 {
-                (a, b) = (b, a % b);
-            }
-            a
-        };
-        a / gcd(a, b).max(1) * b
-    }
-
-    /// What `pseudonym` will do: the same each time.
-    pub fn plan(&self, pseudonym: &str) -> Plan {
-        let number = number_of(pseudonym);
-        let conditions = self.conditions();
-        let blocks = self.instruction_order.of(self.instructions.len(), number, self.seed);
-        let blocks = blocks.into_iter().enumerate().map(|(place, instruction)| {
-            let mut trials = Vec::new();
-            for repetition in 0..self.repetitions {
-                let round = place as u64 * u64::from(self.repetitions) + u64::from(repetition);
-                let order = match self.condition_order {
-                    // A new shuffle each time: people must not learn it.
-                    Order::Random => {
-                        shuffled(conditions.len(), mixed(self.seed ^ mixed(number ^ mixed(round + 1))))
-                    }
-                    other => other.of(conditions.len(), number + round, self.seed),
-                };
-                for index in order {
-                    self.sequence(&conditions[index], &mut trials);
-                }
-            }
-            PlannedBlock { instruction, trials }
-        });
-        Plan { participant: pseudonym.to_owned(), blocks: blocks.collect() }
-    }
-
-    /// Appends one sequence: practice, then what counts, around the layout as often as needed.
-    fn sequence(&self, (size, factors): &(Size, BTreeMap<String, String>), trials: &mut Vec<PlannedTrial>) {
-        let targets = layout(self.geometry, size.amplitude, size.width.unwrap_or(0.0));
-        let round = targets.len() - 1;
-        let unit = if matches!(self.geometry, Geometry::Ray { .. }) { "rad" } else { "m" };
-        let mut parts: Vec<String> = factors.values().cloned().collect();
-        let rounded = |value: f64| (value * 1e6).round() / 1e6;
-        parts.push(format!("A{}{unit}", rounded(size.amplitude)));
-        parts.extend(size.width.map(|width| format!("W{}{unit}", rounded(width))));
-        let condition = parts.join("-");
-        for index in 0..self.practice + self.per_condition {
-            trials.push(PlannedTrial {
-                condition: condition.clone(),
-                size: *size,
-                factors: factors.clone(),
-                practice: index < self.practice,
-                index,
-                from: targets[index as usize % round],
-                to: targets[index as usize % round + 1],
-                predicted_s: self.predicted_s(*size),
-            });
-        }
-    }
-
-    /// Predicted length of one session, seconds: movements as predicted (times the metronome where there is one), half a
-    /// second between sequences, breaks. Repeats are not counted.
-    pub fn session_s(&self) -> f64 {
-        let each = f64::from((self.practice + self.per_condition) * self.repetitions);
-        let dwell = if self.trigger == Trigger::Dwell { self.dwell_s } else { 0.0 };
-        let cells = (self.conditions().len() / self.sizes.len().max(1)) as f64;
-        let block = |pace: f64| {
-            self.sizes
-                .iter()
-                .map(|size| cells * (0.5 + each * (pace * self.predicted_s(*size) + dwell)))
-                .sum::<f64>()
-        };
-        let blocks: f64 = self.instructions.iter().map(|one| block(one.metronome.unwrap_or(1.0))).sum();
-        blocks + self.break_s * (self.instructions.len() - 1) as f64
-    }
-
-    /// What is allowed but doubtful, in sentences.
-    pub fn warnings(&self) -> Vec<String> {
-        let mut found = Vec::new();
-        let balanced = self.balanced_after();
-        if !(self.participants as usize).is_multiple_of(balanced) {
-            found.push(format!(
-                "{} participants are no multiple of {balanced}: orders are not balanced",
-                self.participants
-            ));
-        }
-        if self.per_condition < 10 {
-            found.push(format!("{} trials per condition: effective widths of fewer than 10 ends are uncertain by 25 % and more", self.per_condition));
-        }
-        if let Geometry::Ring { targets, .. } | Geometry::Ray { targets, .. } = self.geometry
-            && !self.per_condition.is_multiple_of(targets)
-        {
-            found.push(format!(
-                "{} trials are no whole rounds of {targets} targets: directions come unequally often",
-                self.per_condition
-            ));
-        }
-        for size in &self.sizes {
-            if size.width.is_some_and(|width| width > size.amplitude) {
-                found.push(format!(
-                    "width {} is larger than amplitude {}: targets overlap",
-                    size.width.unwrap_or(0.0),
-                    size.amplitude
-                ));
-            }
-        }
-        found
     }
 }
 
@@ -578,6 +489,7 @@ fn size(angle: bool, text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::PlannedBlock;
     use proptest::prelude::*;
 
     fn template() -> Study {
@@ -602,6 +514,33 @@ mod tests {
     }
 
     #[test]
+    fn sessions_have_all_blocks_in_other_orders() {
+        let parse = |text: &str| Study::parse(Path::new("t.toml"), text).unwrap();
+        let (one, two) = (template(), parse(&TEMPLATE.replace("# sessions = 2", "sessions = 2")));
+        let (one, two) = (one.plan("P04"), two.plan("P04"));
+        assert_eq!((one.blocks.len(), two.blocks.len()), (3, 6));
+        // What was planned for one session is not changed by another one behind it.
+        assert_eq!(one.blocks, two.blocks[..3]);
+        let sessions: Vec<u32> = two.blocks.iter().map(|block| block.session).collect();
+        assert_eq!(sessions, [0, 0, 0, 1, 1, 1]);
+        let order =
+            |blocks: &[PlannedBlock]| blocks.iter().map(|block| block.instruction).collect::<Vec<_>>();
+        assert_ne!(order(&two.blocks[..3]), order(&two.blocks[3..]));
+        assert_ne!(two.blocks[0].trials, two.blocks[3].trials);
+    }
+
+    #[test]
+    fn a_plane_has_any_direction() {
+        let text = TEMPLATE.replace("plane = \"xy\"", "plane = { yaw = \"90 deg\", pitch = \"30 deg\" }");
+        let study = Study::parse(Path::new("t.toml"), &text).unwrap();
+        let Geometry::Ring { plane: Plane::Turned { yaw_rad, pitch_rad }, .. } = study.geometry else {
+            panic!("{:?}", study.geometry)
+        };
+        assert!((yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        assert!((pitch_rad - std::f64::consts::FRAC_PI_6).abs() < 1e-12);
+    }
+
+    #[test]
     fn mistakes_are_named_with_their_place() {
         let error = |from: &str, to: &str| {
             let text = TEMPLATE.replace(from, to);
@@ -622,12 +561,57 @@ mod tests {
         assert!(error("per_condition = 15", "per_condition = 0").contains("from 1 to"));
         assert!(error("# band = [75, 125]", "band = [125, 75]").contains("ascending"));
         assert!(error("kind = \"ring\"", "kind = \"edge\"").contains("expected no widths"));
+        assert!(error("kind = \"ring\"", "kind = \"corner\"").contains("expected no widths"));
+        let plane = error("plane = \"xy\"", "plane = \"yx\"");
+        assert!(
+            plane.starts_with(&format!("t.toml:{}:", line("plane = \"xy\"")))
+                && plane.contains("expected a plane: \"xy\""),
+            "{plane}"
+        );
+        assert!(error("plane = \"xy\"", "plane = { yaw = \"3 m\" }").contains("expected a plane"));
+        assert!(error("# sessions = 2", "sessions = 0").contains("at least one session"));
+        for (from, to, expected) in [
+            ("dwell = \"500 ms\"", "dwell = \"-1 s\"", "expected a time above zero, found -1 s"),
+            ("a = \"0.1 s\"", "a = \"-5 s\"", "expected a time of zero or more, found -5 s"),
+            ("between_blocks = \"60 s\"", "between_blocks = \"-60 s\"", "found -60 s"),
+            ("distance = \"0.6 m\"", "distance = \"-0.6 m\"", "expected a distance above zero"),
+            (
+                "name = \"fast\"",
+                "name = \"balanced\"",
+                "expected a name that no other instruction has, found \"balanced\"",
+            ),
+            ("repetitions = 1", "repetitions = 0", "at least one repetition"),
+            (
+                "[\"0.15 m\", \"0.25 m\"",
+                "[\"0.15 m\", \"15 cm\"",
+                "expected sizes that differ, found 15 cm twice",
+            ),
+            (
+                "# [factors]\n# hand = [\"left\", \"right\"]",
+                "[factors]\nhand = [\"left\", \"left\"]",
+                "found \"left\" twice",
+            ),
+            (
+                "# [factors]\n# hand = [\"left\", \"right\"]",
+                "[factors]\nhand = []",
+                "at least one level of hand",
+            ),
+            (
+                "a = \"0.1 s\"\nb = \"0.2 s\"",
+                "a = \"0 s\"\nb = \"0 s\"",
+                "expected a predicted time above zero",
+            ),
+        ] {
+            let (found, first) = (error(from, to), from.lines().last().unwrap_or(from));
+            let place = format!("t.toml:{}:", line(first));
+            assert!(found.starts_with(&place) && found.contains(expected), "{place} {found}");
+        }
         assert!(error("kind = \"ring\"", "kind = \"ray\"").contains("expected an angle"));
     }
 
     proptest! {
         #[test]
-        fn damage_is_an_error_and_no_panic(at in 0usize..2500, byte in 1u8..127) {
+        fn damage_is_an_error_and_no_panic(at in 0usize..4000, byte in 1u8..127) {
             let mut text = TEMPLATE.as_bytes().to_vec();
             let at = at % text.len();
             text[at] = byte;

@@ -3,7 +3,7 @@
 use crate::trial::Point;
 
 /// A plane of rings.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Plane {
     /// Upright, facing the viewer.
     Xy,
@@ -11,6 +11,29 @@ pub enum Plane {
     Yz,
     /// Level: movements sideways and in depth.
     Zx,
+    /// Any other: [`Plane::Xy`] with its top leaned away, then turned about the vertical.
+    Turned {
+        /// How far its right side is turned away, radians ([`Plane::Yz`]: a quarter turn).
+        yaw_rad: f64,
+        /// How far its top is leaned away, radians ([`Plane::Zx`]: a quarter turn).
+        pitch_rad: f64,
+    },
+}
+
+impl Plane {
+    /// The place of `right` and `up` in this plane, of which `up` is towards the ring's first target.
+    pub fn place(self, right: f64, up: f64) -> Point {
+        match self {
+            // Exactly where they are: sines of quarter turns are not exact.
+            Self::Xy => [right, up, 0.0],
+            Self::Yz => [0.0, up, -right],
+            Self::Zx => [right, 0.0, -up],
+            Self::Turned { yaw_rad, pitch_rad } => {
+                let ((sy, cy), (sp, cp)) = (yaw_rad.sin_cos(), pitch_rad.sin_cos());
+                [right * cy - up * sp * sy, up * cp, -right * sy - up * sp * cy]
+            }
+        }
+    }
 }
 
 /// What kind of task.
@@ -36,8 +59,18 @@ pub enum Geometry {
     },
     /// A straight tunnel from left to right and back: amplitude is its length, width its width.
     Steering,
-    /// A target at the edge of the screen, of unbounded width along the axis: effective measures only.
+    /// Targets at the left and the right edge of the screen, of unbounded width along the axis: effective measures only.
     Edge,
+    /// Targets in the lower left and the upper right corner of the screen, unbounded to both sides away from the middle:
+    /// effective measures only. The amplitude is the distance of the corners.
+    Corner,
+}
+
+impl Geometry {
+    /// Whether targets have no width along the axis, since nobody can go too far.
+    pub fn is_unbounded(self) -> bool {
+        matches!(self, Self::Edge | Self::Corner)
+    }
 }
 
 /// One place to go to.
@@ -53,21 +86,18 @@ pub struct Target {
 /// `amplitude` is the layout's (its diameter), in metres or for [`Geometry::Ray`] radians.
 pub fn layout(geometry: Geometry, amplitude: f64, width: f64) -> Vec<Target> {
     let half = 0.5 * amplitude;
-    let target = |centre: Point| Target { centre, width: (geometry != Geometry::Edge).then_some(width) };
+    let target = |centre: Point| Target { centre, width: (!geometry.is_unbounded()).then_some(width) };
     match geometry {
         Geometry::Reciprocal | Geometry::Steering | Geometry::Edge => {
             [-half, half, -half].into_iter().map(|x| target([x, 0.0, 0.0])).collect()
         }
+        Geometry::Corner => {
+            let side = half * std::f64::consts::FRAC_1_SQRT_2;
+            [-side, side, -side].into_iter().map(|at| target([at, at, 0.0])).collect()
+        }
         Geometry::Depth => [half, -half, half].into_iter().map(|z| target([0.0, 0.0, z])).collect(),
         Geometry::Ring { targets, plane } => {
-            let place = |angle: f64| {
-                let (a, b) = (half * angle.sin(), half * angle.cos());
-                match plane {
-                    Plane::Xy => [a, b, 0.0],
-                    Plane::Yz => [0.0, b, -a],
-                    Plane::Zx => [a, 0.0, -b],
-                }
-            };
+            let place = |angle: f64| plane.place(half * angle.sin(), half * angle.cos());
             opposite(targets).map(|angle| target(place(angle))).collect()
         }
         Geometry::Ray { targets, distance } => {
@@ -102,7 +132,8 @@ mod tests {
 
     #[test]
     fn a_ring_visits_every_target_at_the_real_amplitude() {
-        for plane in [Plane::Xy, Plane::Yz, Plane::Zx] {
+        let turned = Plane::Turned { yaw_rad: 0.7, pitch_rad: -1.1 };
+        for plane in [Plane::Xy, Plane::Yz, Plane::Zx, turned] {
             for targets in [3, 9, 11, 25] {
                 let ring = layout(Geometry::Ring { targets, plane }, 0.4, 0.02);
                 assert_eq!(ring.len(), targets as usize + 1);
@@ -119,6 +150,25 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn quarter_turns_are_the_planes_with_names() {
+        let quarter = std::f64::consts::FRAC_PI_2;
+        for (plane, yaw_rad, pitch_rad) in
+            [(Plane::Xy, 0.0, 0.0), (Plane::Yz, quarter, 0.0), (Plane::Zx, 0.0, quarter)]
+        {
+            let turned = Plane::Turned { yaw_rad, pitch_rad };
+            assert!(distance(plane.place(0.3, 0.2), turned.place(0.3, 0.2)) < 1e-15, "{plane:?}");
+        }
+    }
+
+    #[test]
+    fn corners_are_apart_as_the_amplitude_says() {
+        let corners = layout(Geometry::Corner, 0.3, 0.0);
+        assert!((distance(corners[0].centre, corners[1].centre) - 0.3).abs() < 1e-15);
+        assert!(corners[0].centre[0] < 0.0 && corners[0].centre[1] < 0.0);
+        assert_eq!((corners[1].width, corners[2]), (None, corners[0]));
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use raw_window_handle::{DisplayHandle, HandleError, HasDisplayHandle, HasWindowHandle, WindowHandle};
 use winit::dpi::PhysicalSize;
+use winit::window::CursorGrabMode;
 
 /// A window that a surface can be made on; it is closed when the last holder lets go.
 pub struct Handle {
@@ -21,6 +22,11 @@ impl Handle {
 
     pub(crate) fn set_title(&self, title: &str) {
         self.window.set_title(title);
+    }
+
+    pub(crate) fn confine(&self, on: bool) -> bool {
+        let mode = if on { CursorGrabMode::Confined } else { CursorGrabMode::None };
+        self.window.set_cursor_grab(mode).is_ok()
     }
 
     pub(crate) fn request_size(&self, size: (u32, u32)) {

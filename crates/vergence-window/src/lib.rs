@@ -124,6 +124,12 @@ impl Window {
         self.handle.set_title(title);
     }
 
+    /// Keeps the pointer inside of the window, as a screen keeps it, or lets it go. Whether the window system does: it may refuse
+    /// while the window is not shown or another one has the pointer.
+    pub fn confine(&self, on: bool) -> bool {
+        self.handle.confine(on)
+    }
+
     /// Asks for another inner size, in physical pixels; an [`Event::Resized`] tells what came of it.
     pub fn request_size(&self, size: (u32, u32)) {
         self.handle.request_size(size);

@@ -68,20 +68,25 @@ pub fn end_of(trial: &Trial, conventions: &Conventions, before: f64) -> Option<E
     let offset = match conventions.frame {
         Frame::World => offset,
         Frame::Task => {
-            // The second direction lies in the plane of the axis and y (of the axis and x where it runs along y in
-            // depth): in 2D that is the perpendicular, turned with the axis.
-            let planar = along[2] == 0.0 && offset[2] == 0.0;
-            let third = if planar {
-                [0.0, 0.0, 1.0]
-            } else {
-                unit(cross(along, [0.0, 1.0, 0.0]))
-                    .filter(|_| length(cross(along, [0.0, 1.0, 0.0])) > 1e-6)
-                    .or_else(|| unit(cross(along, [1.0, 0.0, 0.0])))?
-            };
-            [dx, dot(offset, cross(third, along)), dot(offset, third)]
+            let [second, third] = across(along, along[2] == 0.0 && offset[2] == 0.0)?;
+            [dx, dot(offset, second), dot(offset, third)]
         }
     };
     Some(End { dx, ae, ae_xy, offset })
+}
+
+/// The second and the third direction of the frame of an axis. The second lies in the plane of the axis and y (of the axis
+/// and x where it runs along y in depth): in 2D, and where the task is `planar`, that is the perpendicular, turned with the
+/// axis.
+pub(crate) fn across(along: Point, planar: bool) -> Option<[Point; 2]> {
+    let third = if planar {
+        [0.0, 0.0, 1.0]
+    } else {
+        unit(cross(along, [0.0, 1.0, 0.0]))
+            .filter(|_| length(cross(along, [0.0, 1.0, 0.0])) > 1e-6)
+            .or_else(|| unit(cross(along, [1.0, 0.0, 0.0])))?
+    };
+    Some([cross(third, along), third])
 }
 
 /// What one sequence of trials (participant × session × block × condition) amounts to, in one pass.

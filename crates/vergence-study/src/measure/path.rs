@@ -1,7 +1,8 @@
-//! Paths: MacKenzie, Kauppinen and Silfverberg 2001 (TRE, TAC, MDC, ODC, MV, ME, MO), submovements and overshoots.
+//! Paths: MacKenzie, Kauppinen and Silfverberg 2001 (TRE, TAC, MDC, ODC, MV, ME, MO), submovements and overshoots. "Beside
+//! the axis" is across it in 2D and in an upright plane; where the axis runs in depth it is above or below.
 
 use crate::convention::{Conventions, PathRule};
-use crate::measure::ends::axis_of;
+use crate::measure::ends::{across, axis_of};
 use crate::trial::{CursorSample, PathMeasures, Point, Trial};
 
 /// Rate of FittsStudy's resampling, milliseconds per sample.
@@ -18,7 +19,8 @@ pub fn of_path(trial: &Trial, conventions: &Conventions) -> Option<PathMeasures>
     if trial.samples.len() < 2 {
         return trial.measured;
     }
-    let across = [-along[1], along[0], 0.0];
+    // Where the axis runs in depth, "beside" it is above and below it, as in the frame of the ends.
+    let [beside, _] = across(along, along[2] == 0.0)?;
     let place = |p: Point, direction: Point| (0..3).map(|i| (p[i] - origin[i]) * direction[i]).sum::<f64>();
     let half_width = trial.width.map(|width| 0.5 * width);
     let centre = place(trial.to, along);
@@ -39,7 +41,7 @@ pub fn of_path(trial: &Trial, conventions: &Conventions) -> Option<PathMeasures>
         }
     };
     let x: Vec<f64> = points.iter().map(|sample| place(sample.position, along)).collect();
-    let y: Vec<f64> = points.iter().map(|sample| place(sample.position, across)).collect();
+    let y: Vec<f64> = points.iter().map(|sample| place(sample.position, beside)).collect();
     let n = y.len() as f64;
     let mean = y.iter().sum::<f64>() / n;
     let squares: f64 = y.iter().map(|value| (value - mean).powi(2)).sum();
@@ -210,6 +212,31 @@ mod tests {
         let banded = Conventions { crossing_band: 2.5, turn_jump: 6.0, ..Conventions::default() };
         let m = of_path(&trial(&path), &banded).unwrap();
         assert_eq!((m.tac, m.odc), (Some(1.0), Some(1.0)));
+    }
+
+    #[test]
+    fn a_path_in_depth_has_a_side_too() {
+        const HALF: f64 = std::f64::consts::FRAC_1_SQRT_2;
+        // The same arc to the right, ahead, and half up: above the axis by as much.
+        let of = |turn: fn(f64, f64) -> [f64; 3]| {
+            let samples = (0..21).map(|i| {
+                let t = f64::from(i) / 20.0;
+                CursorSample { t_s: t, position: turn(100.0 * t, 8.0 * t * (1.0 - t)) }
+            });
+            let t = Trial {
+                from: Some([0.0; 3]),
+                to: turn(100.0, 0.0),
+                width: Some(10.0),
+                samples: samples.collect(),
+                ..Trial::default()
+            };
+            of_path(&t, &Conventions::default()).unwrap()
+        };
+        let right = of(|x, y| [x, y, 0.0]);
+        for other in [of(|x, y| [0.0, y, -x]), of(|x, y| [0.0, HALF * (x + y), HALF * (y - x)])] {
+            assert!((right.me.unwrap() - other.me.unwrap()).abs() < 1e-12 && right.me > Some(1.0));
+            assert!((right.mo.unwrap() - other.mo.unwrap()).abs() < 1e-12, "{right:?} {other:?}");
+        }
     }
 
     #[test]

@@ -666,7 +666,12 @@ fn progress(bytes: u64) -> ProgressBar {
 }
 
 fn text_of(file: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(file).map_err(|error| Failure::Call(format!("{}: {error}", file.display())))
+    let bytes = std::fs::read(file).map_err(|error| Failure::Call(format!("{}: {error}", file.display())))?;
+    String::from_utf8(bytes).map_err(|error| {
+        let before = &error.as_bytes()[..error.utf8_error().valid_up_to()];
+        let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+        Failure::Work(format!("{}:{line}: expected text in UTF-8, found a byte that is none", file.display()))
+    })
 }
 
 fn write(file: &Path, text: &str) -> Result<(), Failure> {

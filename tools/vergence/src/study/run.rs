@@ -10,7 +10,8 @@ use vergence_experiment::{
     on_desktop, window_size,
 };
 use vergence_session::{
-    CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RunConfig, RunReport,
+    CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RecordReport, RunConfig,
+    RunReport,
 };
 use vergence_study::{Conventions, Study};
 
@@ -179,11 +180,13 @@ impl Run {
         };
         bar.finish_and_clear();
         let (ended, report) = ran.map_err(|error| failed(&error))?;
+        let recording = report.as_ref().and_then(|report| report.recording.clone());
         if self.json {
             let session = report.map(|report| {
                 json!({
                     "headset": report.headset, "frames": report.frames, "paced": report.paced,
                     "seconds": report.seconds, "device": report.device, "warnings": report.warnings,
+                    "recording": report.recording,
                 })
             });
             let object = json!({
@@ -204,7 +207,11 @@ impl Run {
                 ended.log.display()
             );
         }
-        Ok(())
+        // Trials are safe without it; who asked for a recording of the whole session must know all the same.
+        match recording.as_ref().and_then(RecordReport::shortfall) {
+            Some(sentence) => Err(Failure::Work(sentence)),
+            None => Ok(()),
+        }
     }
 
     fn config(&self) -> Result<RunConfig, Failure> {

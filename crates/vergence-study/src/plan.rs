@@ -1,0 +1,195 @@
+//! From a checked study to the plan of one participant, and what that plan means: its length, and what is doubtful in it.
+
+use std::collections::BTreeMap;
+
+use crate::convention::Difficulty;
+use crate::design::{Order, mixed, number_of, shuffled};
+use crate::measure::fitts::difficulty;
+use crate::study_file::{Size, Study, Trigger};
+use crate::task::{Geometry, Target, layout};
+
+/// One movement to come.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedTrial {
+    /// Name of the condition.
+    pub condition: String,
+    /// Which size.
+    pub size: Size,
+    /// Levels of other factors.
+    pub factors: BTreeMap<String, String>,
+    /// Not analysed.
+    pub practice: bool,
+    /// Place in its sequence.
+    pub index: u32,
+    /// Where it comes from and where it goes.
+    pub from: Target,
+    /// As above.
+    pub to: Target,
+    /// Predicted movement time, seconds.
+    pub predicted_s: f64,
+}
+
+/// The movements under one instruction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedBlock {
+    /// Which sitting, counted from 0.
+    pub session: u32,
+    /// Place in [`Study::instructions`].
+    pub instruction: usize,
+    /// In order.
+    pub trials: Vec<PlannedTrial>,
+}
+
+/// Everything one participant will do.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// Pseudonym.
+    pub participant: String,
+    /// In order.
+    pub blocks: Vec<PlannedBlock>,
+}
+
+impl Study {
+    /// Sizes × levels of the other factors.
+    pub fn conditions(&self) -> Vec<(Size, BTreeMap<String, String>)> {
+        let mut cells: Vec<BTreeMap<String, String>> = vec![BTreeMap::new()];
+        for (name, levels) in &self.factors {
+            cells = cells
+                .into_iter()
+                .flat_map(|cell| {
+                    levels.iter().map(move |level| {
+                        let mut cell = cell.clone();
+                        cell.insert(name.clone(), level.clone());
+                        cell
+                    })
+                })
+                .collect();
+        }
+        self.sizes.iter().flat_map(|size| cells.iter().map(move |cell| (*size, cell.clone()))).collect()
+    }
+
+    /// Predicted movement time of a size, seconds.
+    pub fn predicted_s(&self, size: Size) -> f64 {
+        let bits = size
+            .width
+            .and_then(|width| difficulty(Difficulty::Shannon, size.amplitude, width))
+            .unwrap_or(1.0);
+        self.prediction[0] + self.prediction[1] * bits
+    }
+
+    /// After how many participants the orders are balanced.
+    pub fn balanced_after(&self) -> usize {
+        let a = self.instruction_order.rows(self.instructions.len());
+        let b = self.condition_order.rows(self.conditions().len());
+        let gcd = |mut a: usize, mut b: usize| {
+            while b > 0 {
+                (a, b) = (b, a % b);
+            }
+            a
+        };
+        a / gcd(a, b).max(1) * b
+    }
+
+    /// What `pseudonym` will do: the same each time.
+    pub fn plan(&self, pseudonym: &str) -> Plan {
+        let number = number_of(pseudonym);
+        let conditions = self.conditions();
+        let blocks = (0..self.sessions).flat_map(|session| {
+            // The next session has the next row of the square, so that sessions are balanced too.
+            let order =
+                self.instruction_order.of(self.instructions.len(), number + u64::from(session), self.seed);
+            order.into_iter().map(move |instruction| (session, instruction))
+        });
+        let blocks = blocks.enumerate().map(|(place, (session, instruction))| {
+            let mut trials = Vec::new();
+            for repetition in 0..self.repetitions {
+                let round = place as u64 * u64::from(self.repetitions) + u64::from(repetition);
+                let order = match self.condition_order {
+                    // A new shuffle each time: people must not learn it.
+                    Order::Random => {
+                        shuffled(conditions.len(), mixed(self.seed ^ mixed(number ^ mixed(round + 1))))
+                    }
+                    other => other.of(conditions.len(), number + round, self.seed),
+                };
+                for index in order {
+                    self.sequence(&conditions[index], &mut trials);
+                }
+            }
+            PlannedBlock { session, instruction, trials }
+        });
+        Plan { participant: pseudonym.to_owned(), blocks: blocks.collect() }
+    }
+
+    /// Appends one sequence: practice, then what counts, around the layout as often as needed.
+    fn sequence(&self, (size, factors): &(Size, BTreeMap<String, String>), trials: &mut Vec<PlannedTrial>) {
+        let targets = layout(self.geometry, size.amplitude, size.width.unwrap_or(0.0));
+        let round = targets.len() - 1;
+        let unit = if matches!(self.geometry, Geometry::Ray { .. }) { "rad" } else { "m" };
+        let mut parts: Vec<String> = factors.values().cloned().collect();
+        let rounded = |value: f64| (value * 1e6).round() / 1e6;
+        parts.push(format!("A{}{unit}", rounded(size.amplitude)));
+        parts.extend(size.width.map(|width| format!("W{}{unit}", rounded(width))));
+        let condition = parts.join("-");
+        for index in 0..self.practice + self.per_condition {
+            trials.push(PlannedTrial {
+                condition: condition.clone(),
+                size: *size,
+                factors: factors.clone(),
+                practice: index < self.practice,
+                index,
+                from: targets[index as usize % round],
+                to: targets[index as usize % round + 1],
+                predicted_s: self.predicted_s(*size),
+            });
+        }
+    }
+
+    /// Predicted length of one session, seconds: movements as predicted (times the metronome where there is one), half a
+    /// second between sequences, breaks. Repeats are not counted.
+    pub fn session_s(&self) -> f64 {
+        let each = f64::from((self.practice + self.per_condition) * self.repetitions);
+        let dwell = if self.trigger == Trigger::Dwell { self.dwell_s } else { 0.0 };
+        let cells = (self.conditions().len() / self.sizes.len().max(1)) as f64;
+        let block = |pace: f64| {
+            self.sizes
+                .iter()
+                .map(|size| cells * (0.5 + each * (pace * self.predicted_s(*size) + dwell)))
+                .sum::<f64>()
+        };
+        let blocks: f64 = self.instructions.iter().map(|one| block(one.metronome.unwrap_or(1.0))).sum();
+        blocks + self.break_s * (self.instructions.len() - 1) as f64
+    }
+
+    /// What is allowed but doubtful, in sentences.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        let balanced = self.balanced_after();
+        if !(self.participants as usize).is_multiple_of(balanced) {
+            found.push(format!(
+                "{} participants are no multiple of {balanced}: orders are not balanced",
+                self.participants
+            ));
+        }
+        if self.per_condition < 10 {
+            found.push(format!("{} trials per condition: effective widths of fewer than 10 ends are uncertain by 25 % and more", self.per_condition));
+        }
+        if let Geometry::Ring { targets, .. } | Geometry::Ray { targets, .. } = self.geometry
+            && !self.per_condition.is_multiple_of(targets)
+        {
+            found.push(format!(
+                "{} trials are no whole rounds of {targets} targets: directions come unequally often",
+                self.per_condition
+            ));
+        }
+        for size in &self.sizes {
+            if size.width.is_some_and(|width| width > size.amplitude) {
+                found.push(format!(
+                    "width {} is larger than amplitude {}: targets overlap",
+                    size.width.unwrap_or(0.0),
+                    size.amplitude
+                ));
+            }
+        }
+        found
+    }
+}
