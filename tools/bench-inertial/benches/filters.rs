@@ -1,11 +1,12 @@
 //! Time of one sample, update and orientation, of our filters beside other crates', on one simulated motion: one run, one thread.
 
 use std::hint::black_box;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ahrs::Ahrs as _;
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use nalgebra::Vector3;
+use rustix::time::{ClockId, clock_gettime};
 use vergence_inertial::filter::{
     Axes, Clean, Core, Filter, Limits, Madgwick, MadgwickParams, Stream, Vergence, VergenceParams, Vqf,
     VqfParams,
@@ -62,16 +63,16 @@ fn guarded(samples: &[(Timestamp, Imu)], filter: &mut impl Filter) {
     }
 }
 
-/// Time of this thread on a processor so far, where the system says it (Linux): what else the machine does is not counted.
-fn spent() -> Option<Duration> {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
-    text.split(' ').next()?.parse().ok().map(Duration::from_nanos)
+/// CPU time of this thread so far: what else the machine does is not counted.
+fn spent() -> Duration {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec as u32)
 }
 
 fn on_cpu(times: u64, mut run: impl FnMut()) -> Duration {
-    let (began, began_on_cpu) = (Instant::now(), spent());
+    let began = spent();
     (0..times).for_each(|_| run());
-    spent().zip(began_on_cpu).map_or_else(|| began.elapsed(), |(after, before)| after - before)
+    spent() - began
 }
 
 fn filters(criterion: &mut Criterion) {

@@ -98,7 +98,7 @@ impl Core for Madgwick {
             return;
         };
         let q = unit.into_inner();
-        let mut slope = times_imaginary(&q, &(sample.gyr_rad_s * 0.5));
+        let mut next = q + times_imaginary(&q, &(sample.gyr_rad_s * (0.5 * sample.step_s)));
         if let Some(acc) = &sample.acc_m_s2 {
             let mut down = gradient_up(&q, &(acc * (1.0 / acc.norm())));
             if let Some(mag) = &sample.mag_ut {
@@ -109,10 +109,10 @@ impl Core for Madgwick {
             }
             let length = down.norm();
             if length > 1e-30 {
-                slope -= down * (self.params.beta / length);
+                next -= down * (self.params.beta * sample.step_s / length);
             }
         }
-        self.state.nwu_from_sensor = Some(normalised(q + slope * sample.step_s));
+        self.state.nwu_from_sensor = Some(normalised(next));
     }
 
     fn lost(&mut self, _gap_s: f64) {
