@@ -9,14 +9,15 @@ use serde::Serialize;
 use vergence_action::{Control, POINT_AND_GRASP};
 use vergence_log::{Ending, Header, Reader};
 use vergence_scene::Scene;
-use vergence_sense::Said;
+use vergence_sense::{Event, Said};
 use vergence_xr::Without;
-use vergence_xr_sim::motion::{Part, SESSION_BEGINS};
+use vergence_xr_sim::motion::{Part, RUN_ENDED, SESSION_BEGINS};
 use vergence_xr_sim::{Fault, FaultPlan, Replay, Script};
 
 use crate::config::{CaptureConfig, HeadsetChoice, RunConfig};
 use crate::error::Error;
 use crate::provenance::scene_hash;
+use crate::recording::name;
 use crate::resolved::Resolved;
 use crate::run::{Again, Happening, Lived, MakeVerifier, run_again};
 use crate::said_log::{Frames, Outcome};
@@ -302,9 +303,14 @@ pub fn replay(
     let mut reader = Reader::open(&log.path)?;
     // A damaged file is no complete one.
     let mut damage = said.trouble().or_else(|| compared.trouble());
+    // A file that was mended is whole, and its recording may not be.
+    let mut has_end = false;
     while damage.is_none() {
         match reader.next() {
-            Ok(Some(_)) => {}
+            Ok(Some(entry)) => {
+                has_end |= entry.stream.name == name::EVENTS
+                    && entry.decode::<Event>().is_ok_and(|event| event.value.name == RUN_ENDED);
+            }
             Ok(None) => break,
             Err(error) => damage = Some(error),
         }
@@ -320,7 +326,7 @@ pub fn replay(
     Ok(ReplayReport {
         frames_per_second: run.paced as f64 / host_seconds.max(1e-9),
         verified: config.verify,
-        complete: reader.ending() == Some(Ending::Complete),
+        complete: reader.ending() == Some(Ending::Complete) && (has_end || !log.resolved.has_results),
         damage: damage.map(|error| error.to_string()),
         failure,
         seconds: run.seconds,
