@@ -180,13 +180,22 @@ struct Solved {
     x: Vector9,
     square: Matrix9,
     count: f64,
+    /// Of each view of each track, m; negative: behind.
+    distances: Vec<f64>,
 }
 
+/// Distances that stand for the unknown ones at first; the nearest and the farthest that are believed, m.
+const DISTANCE_M: f64 = 2.0;
+const DISTANCES_M: (f64, f64) = (0.2, 50.0);
+/// Solutions with the distances of the one before.
+const ROUNDS: usize = 4;
+
 impl Flight<'_> {
-    /// Cost, velocity, gravity and the accelerometer's bias where the gyroscope's bias is this; everything else is linear. After
-    /// A. Martinelli, "Closed-Form Solution of Visual-Inertial Structure from Motion", IJCV 2014, with gravity's strength known and a
-    /// prior of the accelerometer's bias.
-    fn at(&self, bias: &Vector3<f64>) -> Option<Solved> {
+    /// Cost, velocity, gravity and the accelerometer's bias where the gyroscope's bias is this and each view's point lies so far away;
+    /// everything else is linear. After A. Martinelli, "Closed-Form Solution of Visual-Inertial Structure from Motion", IJCV 2014,
+    /// with gravity's strength known and a prior of the accelerometer's bias. What is left across a ray is divided by the distance along
+    /// it: metres alone are fewer the smaller everything is taken to be.
+    fn at(&self, bias: &Vector3<f64>, far: &[f64]) -> Option<Solved> {
         let chain = |acc: Vector3<f64>| {
             let biases = Biases { gyr_rad_s: *bias, acc_m_s2: acc };
             let mut states = vec![(UnitQuaternion::identity(), Vector3::zeros(), 0.0)];
@@ -203,13 +212,16 @@ impl Flight<'_> {
         let shifted: [_; 3] = std::array::from_fn(|i| chain(Vector3::ith(i, 1.0)));
         let (mut square, mut slope, mut constant, mut count) =
             (Matrix9::zeros(), Vector9::zeros(), 0.0, 0usize);
+        let mut placed = Vec::with_capacity(self.tracks.len());
+        let mut view = 0;
         for track in &self.tracks {
             let (mut n, mut na, mut nc) = (Matrix3::zeros(), SMatrix::<f64, 3, 9>::zeros(), Vector3::zeros());
             let (mut aa, mut ac, mut cc) = (Matrix9::zeros(), Vector9::zeros(), 0.0);
             for (frame, direction, place) in track {
                 let (rotation, moved, t) = states.get(*frame)?;
                 let ray = rotation * direction;
-                let p = Matrix3::identity() - ray * ray.transpose();
+                let p = (Matrix3::identity() - ray * ray.transpose()) / (far[view] * far[view]);
+                view += 1;
                 let mut a = SMatrix::<f64, 3, 9>::zeros();
                 a.fixed_view_mut::<3, 3>(0, 0).fill_diagonal(*t);
                 a.fixed_view_mut::<3, 3>(0, 3).fill_diagonal(0.5 * t * t);
@@ -227,13 +239,14 @@ impl Flight<'_> {
                 count += 2;
             }
             let inverse = n.try_inverse()?;
+            placed.push((inverse * na, inverse * nc));
             let cross = na.transpose() * inverse;
             square += aa - cross * na;
             slope += ac - cross * nc;
             constant += cc - nc.dot(&(inverse * nc));
         }
-        // Costs are in squares of metres across the rays: a sigma of the bias is worth one of a direction.
-        let prior = (self.sigma_m() / ACC_BIAS).powi(2);
+        // Costs are in squares of angles: a sigma of the bias is worth one of a direction.
+        let prior = (self.rad / ACC_BIAS).powi(2);
         for i in 6..9 {
             square[(i, i)] += prior;
         }
@@ -254,22 +267,54 @@ impl Flight<'_> {
         }
         x.fixed_rows_mut::<3>(3).copy_from(&gravity);
         let cost = x.dot(&(square * x)) + 2.0 * slope.dot(&x) + constant;
-        Some(Solved { cost, x, square, count: count as f64 })
+        let mut distances = Vec::with_capacity(far.len());
+        for (track, (by_x, fixed)) in self.tracks.iter().zip(&placed) {
+            let point = by_x * x + fixed;
+            for (frame, direction, place) in track {
+                let (rotation, moved, t) = states.get(*frame)?;
+                let along = (0..3).map(|i| (shifted[i][*frame].1 - moved) * x[6 + i]).sum::<Vector3<f64>>();
+                let body = moved + x.fixed_rows::<3>(0) * *t + x.fixed_rows::<3>(3) * (0.5 * t * t) + along;
+                distances.push((rotation * direction).dot(&(point - body - rotation * place)));
+            }
+        }
+        Some(Solved { cost, x, square, count: count as f64, distances })
     }
 
-    /// A direction's standard deviation across the ray: 2 m stand for the unknown distances.
-    fn sigma_m(&self) -> f64 {
-        2.0 * self.rad
-    }
-
-    /// The gyroscope's bias by damped Newton steps over numerical derivatives of the whole, from `guess`.
+    /// Velocity, gravity and biases; each round knows from the one before how far the points are.
     pub(crate) fn start(&self, guess: &Vector3<f64>) -> Option<Start> {
+        let views = self.tracks.iter().map(Vec::len).sum();
+        let (mut bias, mut far) = (*guess, vec![DISTANCE_M; views]);
+        let mut found = None;
+        for _ in 0..ROUNDS {
+            let at = self.least(&mut bias, &far)?;
+            far.clear();
+            far.extend(at.distances.iter().map(|d| d.clamp(DISTANCES_M.0, DISTANCES_M.1)));
+            found = Some(at);
+        }
+        let at = found?;
+        let behind = at.distances.iter().filter(|d| **d <= 0.0).count();
+        if behind * 10 > views {
+            return None;
+        }
+        let covariance = at.square.try_inverse()? * (self.rad * self.rad);
+        let three = |i: usize| at.x.fixed_rows::<3>(i).into_owned();
+        Some(Start {
+            velocity_m_s: three(0),
+            gravity_m_s2: three(3),
+            gyr_bias_rad_s: bias,
+            acc_bias_m_s2: three(6),
+            velocity_sigma_m_s: covariance.fixed_view::<3, 3>(0, 0).trace().max(0.0).sqrt(),
+            misfit: (at.cost.max(0.0) / at.count.max(1.0)).sqrt() / self.rad,
+        })
+    }
+
+    /// The gyroscope's bias by damped Newton steps over numerical derivatives of the whole, from what it is.
+    fn least(&self, bias: &mut Vector3<f64>, far: &[f64]) -> Option<Solved> {
         const H: f64 = 1e-3;
-        let mut bias = *guess;
-        let mut at = self.at(&bias)?;
+        let mut at = self.at(bias, far)?;
         let mut damping = 1e-3;
         for _ in 0..12 {
-            let f = |v: Vector3<f64>| self.at(&(bias + v)).map(|r| r.cost);
+            let f = |v: Vector3<f64>| self.at(&(*bias + v), far).map(|r| r.cost);
             let axis = |i: usize| Vector3::ith(i, H);
             let (mut gradient, mut curvature) = (Vector3::zeros(), Matrix3::zeros());
             for i in 0..3 {
@@ -291,29 +336,21 @@ impl Flight<'_> {
                 if let Some(factored) = damped.cholesky() {
                     let step = -factored.solve(&gradient);
                     let step = step * (0.1 / step.norm().max(0.1));
-                    moved =
-                        self.at(&(bias + step)).filter(|next| next.cost < at.cost).map(|next| (step, next));
+                    moved = self
+                        .at(&(*bias + step), far)
+                        .filter(|next| next.cost < at.cost)
+                        .map(|next| (step, next));
                 }
                 damping *= if moved.is_some() { 0.1 } else { 10.0 };
             }
             let Some((step, next)) = moved else { break };
-            bias += step;
+            *bias += step;
             at = next;
             if step.norm() < 1e-5 {
                 break;
             }
         }
-        let sigma = self.sigma_m();
-        let covariance = at.square.try_inverse()? * (sigma * sigma);
-        let three = |i: usize| at.x.fixed_rows::<3>(i).into_owned();
-        Some(Start {
-            velocity_m_s: three(0),
-            gravity_m_s2: three(3),
-            gyr_bias_rad_s: bias,
-            acc_bias_m_s2: three(6),
-            velocity_sigma_m_s: covariance.fixed_view::<3, 3>(0, 0).trace().max(0.0).sqrt(),
-            misfit: (at.cost.max(0.0) / at.count.max(1.0)).sqrt() / sigma,
-        })
+        Some(at)
     }
 }
 

@@ -104,6 +104,13 @@ impl Link {
         link.integrate(at).then_some(link)
     }
 
+    /// This and the one that follows it as one; `None` where that cannot be.
+    pub(crate) fn joined(&self, next: &Self) -> Option<Self> {
+        let mut link = Self { readings: [&self.readings[..], &next.readings].concat(), ..next.clone() };
+        link.noise.gyr_rad_s_rthz = self.noise.gyr_rad_s_rthz.max(next.noise.gyr_rad_s_rthz);
+        link.integrate(next.at).then_some(link)
+    }
+
     fn integrate(&mut self, at: Biases) -> bool {
         self.sum = Preintegrated::new(at, self.noise);
         self.at = at;

@@ -78,13 +78,15 @@ pub struct Estimate {
 pub struct Odometry {
     pub(crate) window: Window,
     readings: VecDeque<(Timestamp, Imu)>,
-    known: HashMap<u64, usize>,
+    pub(crate) known: HashMap<u64, usize>,
     refused: HashMap<u64, u64>,
     just_refused: Vec<u64>,
     normal: Normal,
     shrink: Shrink,
     next_id: u64,
     pub(crate) settled: bool,
+    /// One camera and an inertial unit: there is a guess of velocity and gravity.
+    pub(crate) flying: bool,
     since_keyframe: usize,
     unseen: usize,
     adrift: usize,
@@ -119,6 +121,7 @@ impl Odometry {
             shrink: Shrink::default(),
             next_id: 0,
             settled: false,
+            flying: false,
             since_keyframe: 0,
             unseen: 0,
             adrift: 0,
@@ -372,7 +375,8 @@ impl Odometry {
         let begins = ready && self.window.cameras.len() == 1 && self.window.points.is_empty();
         let blind = self.window.points.is_empty() && !ready;
         if !(first || begins || blind) {
-            self.solve(if self.settled { params.iterations } else { 3 * params.iterations });
+            let long = self.window.frames.len() > 2 * params.first_frames;
+            self.solve(if self.settled || long { params.iterations } else { 3 * params.iterations });
         }
         let outliers = self.drop_outliers();
         if (keyframe || begins) && (ready || first) {
@@ -387,7 +391,7 @@ impl Odometry {
         self.adrift = if outliers > known.saturating_sub(outliers) { self.adrift + 1 } else { 0 };
         // Points that this frame has made hold it as well as known ones.
         let held = if first || begins { self.window.points.len() } else { known };
-        let state = self.judge(held, velocity_sigma_m_s);
+        let state = self.judge(held, position_sigma_m, velocity_sigma_m_s);
         let last = self.window.frames.last().expect("a frame was pushed above");
         let motion = last.motion_now();
         self.biases = motion.biases;
@@ -475,7 +479,7 @@ impl Odometry {
         self.just_refused.len()
     }
 
-    fn index(&mut self) {
+    pub(crate) fn index(&mut self) {
         self.known.clear();
         self.known.extend(self.window.points.iter().enumerate().map(|(i, p)| (p.track, i)));
     }
@@ -589,7 +593,7 @@ impl Odometry {
         found.map_or([f64::INFINITY; 3], |v| [root(&v[..3]), root(&v[3..6]), root(&v[6..])])
     }
 
-    fn judge(&mut self, known: usize, velocity_sigma_m_s: f64) -> State {
+    fn judge(&mut self, known: usize, position_sigma_m: f64, velocity_sigma_m_s: f64) -> State {
         let params = self.window.params;
         let count = self.window.frames.len();
         self.unseen = if known >= FEWEST { 0 } else { self.unseen + 1 };
@@ -606,9 +610,10 @@ impl Odometry {
             };
             let standing = self.window.frames.last().is_some_and(|f| f.still) && count > 2;
             self.settled = params.inertial.is_none() && count > 2
-                || count >= params.first_frames && tilt < GRAVITY_RAD
-                || standing && tilt < 2.0 * GRAVITY_RAD
-                || count >= 4 * params.first_frames;
+                || (count >= params.first_frames && tilt < GRAVITY_RAD
+                    || standing && tilt < 2.0 * GRAVITY_RAD
+                    || count >= 4 * params.first_frames)
+                    && self.knows_scale(position_sigma_m);
             if tilt > GRAVITY_RAD && !standing {
                 return State::FindingGravity;
             }
@@ -625,6 +630,7 @@ impl Odometry {
     /// What no longer fits into the window leaves it.
     fn shrink(&mut self) {
         if !self.settled {
+            self.thin();
             return;
         }
         let params = self.window.params;

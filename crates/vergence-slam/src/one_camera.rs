@@ -14,12 +14,19 @@ use crate::window::Window;
 const PARALLAX_PX: f64 = 25.0;
 /// Corners that both views must share.
 const SHARED: usize = 30;
-/// Frames between two attempts at velocity and gravity; the span before the first, and the longest that an attempt takes, s.
+/// Frames between two attempts at velocity and gravity; the span before the first, before one is believed, and the longest that an
+/// attempt takes, s.
 const EVERY: u64 = 4;
-const SPAN_S: (f64, f64) = (0.7, 2.5);
+const SPAN_S: (f64, f64, f64) = (0.35, 0.7, 2.5);
 /// Views and corners that an attempt takes.
 const VIEWS: usize = 10;
 const CORNERS: usize = 40;
+
+/// The size of everything is known when the position is known this well, as a share of the way; the window waits for it no longer than
+/// this, s, with at most so many frames.
+const SCALE: f64 = 0.008;
+const LONGEST_S: f64 = 10.0;
+const MOST_FRAMES: usize = 28;
 
 fn same(seen: &[Sighting], track: u64) -> Option<&Sighting> {
     seen.binary_search_by_key(&(track, 0), |s| (s.track, s.camera)).ok().map(|i| &seen[i])
@@ -35,6 +42,56 @@ impl Odometry {
             return true;
         }
         if window.params.inertial.is_some() { self.fly() } else { self.look() }
+    }
+
+    /// Whether what says how large everything is may be marginalised: with one camera and an inertial unit it takes accelerations, and what was
+    /// marginalised before they came would hold a wrong size for ever.
+    pub(crate) fn knows_scale(&self, position_sigma_m: f64) -> bool {
+        let window = &self.window;
+        // What moves fast knows soon, and fills the window with points that it sees no more: there must be room for others.
+        let known = |s: &&Sighting| self.known.contains_key(&s.track);
+        let starved =
+            window.frames.last().is_some_and(|f| f.seen.iter().filter(known).count() * 2 < f.seen.len());
+        let full = starved && window.points.len() * 10 >= window.params.points * 9;
+        let measured = |p: &crate::window::Point| p.seen.iter().any(|o| o.sighting.depth_m.is_some());
+        let given = window.params.inertial.is_none() || window.cameras.len() != 1;
+        if given || full || window.points.iter().any(measured) {
+            return true;
+        }
+        let (Some(first), Some(last)) = (window.frames.first(), window.frames.last()) else { return true };
+        let place = |f: &crate::window::Frame| f.pose.translation.vector;
+        let way = window.frames.iter().map(|f| (place(f) - place(first)).norm()).fold(0.0, f64::max);
+        position_sigma_m < SCALE * way
+            || last.time.since(first.time).is_none_or(|s| s.as_secs_f64() > LONGEST_S)
+    }
+
+    /// Where the window waits long, frames between others are let go that no point hangs on; their readings stay.
+    pub(crate) fn thin(&mut self) {
+        while self.window.frames.len() > MOST_FRAMES && !self.window.points.is_empty() {
+            let window = &mut self.window;
+            let hosts = |id: u64| window.points.iter().any(|p| p.host == id);
+            let gap = |k: usize| {
+                let span = window.frames[k + 1].time.since(window.frames[k - 1].time);
+                span.map_or(i64::MAX, |span| span.as_nanos())
+            };
+            let latest = window.frames.len() - window.params.states.max(1);
+            let Some(k) = (1..latest).filter(|k| !hosts(window.frames[*k].id)).min_by_key(|k| gap(*k)) else {
+                return;
+            };
+            let joined = match (&window.frames[k].link, &window.frames[k + 1].link) {
+                (Some(a), Some(b)) => a.joined(b),
+                _ => None,
+            };
+            let Some(joined) = joined else { return };
+            let id = window.frames.remove(k).id;
+            window.frames[k].link = Some(joined);
+            for point in &mut window.points {
+                point.seen.retain(|o| o.frame != id);
+            }
+            window.points.retain(|p| p.seen.len() > 1);
+            window.number();
+            self.index();
+        }
     }
 
     /// Standard deviation of a direction, rad.
@@ -95,28 +152,29 @@ impl Odometry {
     fn fly(&mut self) -> bool {
         let found = self.flown();
         if !found {
-            // Nothing says where it went: it is said to be where it was, and the oldest frame is let go.
+            // The oldest frames are let go.
             let long = |w: &Window| match &w.frames[..] {
-                [first, .., last] => last.time.since(first.time).is_some_and(|s| s.as_secs_f64() > SPAN_S.1),
+                [first, .., last] => last.time.since(first.time).is_some_and(|s| s.as_secs_f64() > SPAN_S.2),
                 _ => false,
             };
-            let place = self.window.frames[0].pose.translation;
             while long(&self.window) {
                 self.window.frames.remove(0);
                 let first = &mut self.window.frames[0];
                 first.link = None;
                 if let Some(anchor) = &mut self.window.anchor {
-                    (anchor.frame, anchor.pose) = (first.id, first.pose);
-                    anchor.pose.translation = place;
-                    anchor.motion = first.motion_now();
+                    (anchor.frame, anchor.pose, anchor.motion) = (first.id, first.pose, first.motion_now());
                     anchor.tilt_rad = 0.3;
                     anchor.velocity_m_s = 3.0;
                 }
             }
-            for frame in &mut self.window.frames {
-                frame.pose.translation = place;
-                if let Some(motion) = &mut frame.motion {
-                    motion.velocity_m_s = Vector3::zeros();
+            if !self.flying {
+                // Nothing says where it went: it is said to be where it was.
+                let place = self.window.frames[0].pose.translation;
+                for frame in &mut self.window.frames {
+                    frame.pose.translation = place;
+                    if let Some(motion) = &mut frame.motion {
+                        motion.velocity_m_s = Vector3::zeros();
+                    }
                 }
             }
             self.window.number();
@@ -153,30 +211,35 @@ impl Odometry {
         let params = self.window.params;
         let flight = Flight { links, tracks, gravity_m_s2: params.gravity_m_s2, rad: self.direction_rad() };
         let guess = first.motion_now().biases.gyr_rad_s;
-        let fine = (flight.tracks.len() >= CORNERS / 2)
-            .then(|| flight.start(&guess))
-            .flatten()
-            .filter(|s| s.misfit < 4.0 && s.velocity_sigma_m_s < 0.1 + 0.2 * s.velocity_m_s.norm());
-        let Some(start) = fine else { return false };
+        let found = (flight.tracks.len() >= CORNERS / 2).then(|| flight.start(&guess)).flatten();
+        let Some(start) = found.filter(|s| s.misfit < 4.0) else { return false };
         let Some(level) = UnitQuaternion::rotation_between(&-start.gravity_m_s2, &Vector3::y()) else {
             return false;
         };
+        let speed = start.velocity_m_s.norm();
+        let sure = span >= SPAN_S.1 && start.velocity_sigma_m_s < 0.1 + 0.2 * speed;
+        // Until then it is a guess, the shorter the less is known: the mean of what is found and of standing still.
+        let variance = start.velocity_sigma_m_s.powi(2);
+        let trust = if sure { 1.0 } else { speed.powi(2) / (speed.powi(2) + variance).max(1e-12) };
         let biases = Biases { gyr_rad_s: start.gyr_bias_rad_s, acc_m_s2: start.acc_bias_m_s2 };
-        let mut pose = Rigid::from_parts(first.pose.translation, level);
+        let place = first.pose.translation.vector;
+        let mut pose = Rigid::from_parts(place.into(), level);
         let mut motion = Motion { velocity_m_s: level * start.velocity_m_s, biases };
         if let Some(anchor) = &mut self.window.anchor {
             anchor.pose = pose;
             anchor.motion = motion;
-            anchor.tilt_rad = 0.1;
-            anchor.velocity_m_s = 0.5;
+            anchor.tilt_rad = if sure { 0.1 } else { 0.3 };
+            anchor.velocity_m_s = if sure { 0.5 } else { 3.0 };
         }
         for frame in &mut self.window.frames {
             if let Some(link) = &frame.link {
                 (pose, motion) = link.follow(&pose, &motion);
             }
-            frame.pose = pose;
-            frame.motion = Some(motion);
+            let way = (pose.translation.vector - place) * trust;
+            frame.pose = Rigid::from_parts((place + way).into(), pose.rotation);
+            frame.motion = Some(Motion { velocity_m_s: motion.velocity_m_s * trust, ..motion });
         }
-        true
+        self.flying = true;
+        sure
     }
 }

@@ -73,6 +73,26 @@ pub struct Playback<'a> {
     mode: Mode,
     tracking: Tracking,
     next_reading: usize,
+    reduce: usize,
+    reduced: Vec<Picture>,
+}
+
+/// Pictures are made smaller by at most this.
+pub const MOST_REDUCED: usize = 8;
+
+/// The mean of each square of `by` pixels; what is left over at the right and below is cut off.
+fn reduce(picture: &Picture, by: usize, into: &mut Picture) {
+    (into.width, into.height) = (picture.width / by, picture.height / by);
+    into.pixels.clear();
+    let area = (by * by) as u32;
+    for row in 0..into.height {
+        let rows = &picture.pixels[row * by * picture.width..(row + 1) * by * picture.width];
+        into.pixels.extend((0..into.width).map(|column| {
+            let square = rows.chunks_exact(picture.width).map(|line| &line[column * by..(column + 1) * by]);
+            let sum: u32 = square.flatten().map(|pixel| u32::from(*pixel)).sum();
+            ((sum + area / 2) / area) as u8
+        }));
+    }
 }
 
 impl<'a> Playback<'a> {
@@ -81,6 +101,26 @@ impl<'a> Playback<'a> {
     /// # Errors
     /// A mode that needs what the recording does not have; a knob outside of its range.
     pub fn new(dataset: &'a Dataset, mode: Mode, knobs: TrackerKnobs, params: Params) -> Result<Self, Error> {
+        Self::reduced(dataset, mode, knobs, params, 1)
+    }
+
+    /// As [`Self::new`], with pictures that are made smaller first, by a whole number of 1 to [`MOST_REDUCED`] along each side. Knobs in
+    /// pixels are in those of the smaller pictures.
+    ///
+    /// # Errors
+    /// As of [`Self::new`]; another number; with depth, where pictures are taken as they are: any but 1.
+    pub fn reduced(
+        dataset: &'a Dataset,
+        mode: Mode,
+        knobs: TrackerKnobs,
+        params: Params,
+        reduce: usize,
+    ) -> Result<Self, Error> {
+        let most = if mode == Mode::Rgbd { 1 } else { MOST_REDUCED };
+        if !(1..=most).contains(&reduce) {
+            let expected = if most == 1 { "1 with depth" } else { "1 to 8" };
+            return Err(Error::Knob { name: "reduce", expected, found: reduce as f64 });
+        }
         let lacks = |expected: &str, found: &str| Err(Error::file(&dataset.root, expected, found));
         if mode.inertial() && dataset.inertial.is_none() {
             return lacks("an inertial unit, for an inertial mode", "none");
@@ -92,10 +132,17 @@ impl<'a> Playback<'a> {
             return lacks("depth pictures, for the mode with depth", "none");
         }
         let rig: &[Camera] = if mode.stereo() { &dataset.cameras } else { &dataset.cameras[..1] };
+        let smaller = |camera: &Camera| {
+            let lens = camera.lens.scaled(1.0 / reduce as f64);
+            let lens = lens.map_err(|source| Error::Lens { path: dataset.root.clone(), source })?;
+            Ok(Camera { lens, size_px: camera.size_px.map(|side| side / reduce as u32), ..*camera })
+        };
+        let rig: Vec<Camera> = rig.iter().map(smaller).collect::<Result<_, Error>>()?;
         let unit = dataset.inertial.as_ref().map(|i| i.unit);
         let params = Params { inertial: unit.filter(|_| mode.inertial()), ..params };
-        let tracking = Tracking::new(rig, knobs, params)?;
-        Ok(Self { dataset, mode, tracking, next_reading: 0 })
+        let tracking = Tracking::new(&rig, knobs, params)?;
+        let reduced = vec![Picture::default(); if reduce > 1 { rig.len() } else { 0 }];
+        Ok(Self { dataset, mode, tracking, next_reading: 0, reduce, reduced })
     }
 
     /// Frames of the recording.
@@ -137,8 +184,12 @@ impl<'a> Playback<'a> {
                 self.next_reading += 1;
             }
         }
+        for (picture, into) in loaded.pictures.iter().zip(&mut self.reduced) {
+            reduce(picture, self.reduce, into);
+        }
+        let pictures = if self.reduce > 1 { &self.reduced } else { &loaded.pictures };
         let grays: Result<Vec<Gray>, _> =
-            loaded.pictures.iter().map(|p| Gray::new(p.width, p.height, p.width, &p.pixels)).collect();
+            pictures.iter().map(|p| Gray::new(p.width, p.height, p.width, &p.pixels)).collect();
         Ok(self.tracking.frame(time, &grays?, loaded.depth.as_ref())?)
     }
 }
@@ -147,4 +198,19 @@ impl<'a> Playback<'a> {
 pub fn z_up(world_from_body: &Rigid) -> Rigid {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
     Rigid::from_parts(Vector3::zeros().into(), turn) * world_from_body
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reduced_pictures_are_means() {
+        let picture = Picture { width: 5, height: 4, pixels: (0..20).collect() };
+        let mut small = Picture::default();
+        reduce(&picture, 2, &mut small);
+        assert_eq!(small, Picture { width: 2, height: 2, pixels: vec![3, 5, 13, 15] });
+        reduce(&picture, 1, &mut small);
+        assert_eq!(small, picture);
+    }
 }

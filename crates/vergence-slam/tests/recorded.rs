@@ -51,9 +51,9 @@ fn a_half_real_flight() {
 fn a_half_real_flight_with_one_camera() {
     let Some(folder) = recording("half_real_v101_14s") else { return skip("no half-real flight") };
     let dataset = Dataset::open(&folder).unwrap();
-    // Slow and even: the first second says little of the scale.
+    // Slow and even: it takes ten seconds to know the scale. Seen: 0.057 m, 1.019.
     let (_, found) = follow(&dataset, Mode::MonoInertial, Align::Se3);
-    assert!(found.ate_rmse_m < 0.3 && (found.scale - 1.0).abs() < 0.1, "{}", found.ate_rmse_m);
+    assert!(found.ate_rmse_m < 0.08 && (found.scale - 1.0).abs() < 0.04, "{}", found.ate_rmse_m);
     let (_, found) = follow(&dataset, Mode::Mono, Align::Sim3);
     assert!(found.ate_rmse_m < 0.05, "{}", found.ate_rmse_m);
 }

@@ -70,6 +70,8 @@ impl Sensors {
 #[derive(Clone, Debug, Default, serde::Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
+    /// Pictures are made smaller by this whole number first; pixels below are those of the smaller pictures.
+    pub reduce: Option<usize>,
     /// Side of the cells that hold a point each, pixels.
     pub cell_px: Option<usize>,
     /// Points in a cell.
@@ -160,7 +162,9 @@ pub fn play(
 ) -> Result<Outcome, Failure> {
     let (knobs, params) = config.resolve()?;
     let failed = |error: vergence_slam::Error| Failure::work(&error);
-    let mut playback = Playback::new(dataset, mode, knobs, params).map_err(|error| Failure::call(&error))?;
+    let reduce = config.reduce.unwrap_or(1);
+    let mut playback =
+        Playback::reduced(dataset, mode, knobs, params, reduce).map_err(|error| Failure::call(&error))?;
     let mut outcome = Outcome { estimates: Vec::new(), cpu_ms: Vec::new() };
     let frames = dataset.frames.len();
     let mut follow = |frame: usize, loaded: &_| -> Result<(), Failure> {

@@ -48,7 +48,8 @@ struct Turned {
     of: fn(&mut Config) -> &mut Option<usize>,
 }
 
-const KNOBS: [Turned; 5] = [
+const KNOBS: [Turned; 6] = [
+    Turned { name: "reduce", unit: "", positions: &[1, 2], default: 1, of: |c| &mut c.reduce },
     Turned { name: "cell_px", unit: "px", positions: &[40, 50, 65, 90], default: 50, of: |c| &mut c.cell_px },
     Turned { name: "levels", unit: "", positions: &[2, 3, 4], default: 4, of: |c| &mut c.levels },
     Turned { name: "keyframes", unit: "", positions: &[3, 5, 7, 10], default: 7, of: |c| &mut c.keyframes },
@@ -56,7 +57,7 @@ const KNOBS: [Turned; 5] = [
     Turned { name: "iterations", unit: "", positions: &[1, 2, 4, 8], default: 4, of: |c| &mut c.iterations },
 ];
 
-/// The defaults; each knob alone at each other position; and all of them turned towards speed together.
+/// The defaults; each knob alone at each other position; and several of them turned towards speed together.
 fn plan(quick: bool) -> Vec<[usize; KNOBS.len()]> {
     let usual = KNOBS.each_ref().map(|k| k.default);
     let mut all = vec![usual];
@@ -69,7 +70,7 @@ fn plan(quick: bool) -> Vec<[usize; KNOBS.len()]> {
             all.push(setting);
         }
     }
-    all.extend([[65, 3, 5, 3, 2], [90, 3, 5, 2, 2], [90, 2, 3, 2, 1]]);
+    all.extend([[1, 65, 3, 5, 3, 2], [1, 90, 3, 5, 2, 2], [1, 90, 2, 3, 2, 1], [2, 40, 2, 5, 3, 2]]);
     all
 }
 
