@@ -60,10 +60,9 @@ pub fn read(path: &Path) -> Result<SessionLog, Error> {
             Err(error) => log.damage.push(with_causes(&error)),
         }
     }
-    match reader.ending() {
-        Some(Ending::CutOff { at }) => log.damage.push(format!("cut off after byte {at}")),
-        Some(Ending::Failed { at }) => log.damage.push(format!("recording failed after byte {at}")),
-        _ => {}
+    // One whose recording failed is good so far, and its last record says that it is incomplete.
+    if let Some(Ending::CutOff { at }) = reader.ending() {
+        log.damage.push(format!("cut off after byte {at}"));
     }
     if log.about.participant.is_empty() && log.records.is_empty() {
         return Err(Error::Damaged {

@@ -1,7 +1,6 @@
 //! One log out of several.
 //!
-//! Own merging beside the timeline of `vergence-stream`: here messages stay encoded, a log may fail in the middle, and a
-//! stream is announced when its first message is met.
+//! Messages stay encoded, a log may fail in the middle, and a stream is announced when its first message is met.
 
 use std::collections::BTreeSet;
 use std::path::Path;

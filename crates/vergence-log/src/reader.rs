@@ -346,15 +346,18 @@ impl Reader {
         // The session's record is the second; a stranger's file has none, and messages come at once.
         while self.header.is_none() && self.ending.is_none() {
             let before = self.at;
-            match self.read_record()? {
-                Some(head) if matches!(head.opcode, op::HEADER | op::METADATA | op::SCHEMA | op::CHANNEL) => {
-                    match self.take_record(head) {
-                        Ok(_) => {}
-                        Err(Error::Damaged { .. }) => return self.again(before),
-                        Err(error) => return Err(error),
-                    }
+            let taken = match self.read_record() {
+                Ok(Some(head))
+                    if matches!(head.opcode, op::HEADER | op::METADATA | op::SCHEMA | op::CHANNEL) =>
+                {
+                    self.take_record(head).map(|_| ())
                 }
-                _ => return self.again(before),
+                Ok(_) => return self.again(before),
+                Err(error) => Err(error),
+            };
+            match taken {
+                Err(Error::Damaged { .. }) => return self.again(before),
+                taken => taken?,
             }
         }
         Ok(())

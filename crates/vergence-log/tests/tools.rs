@@ -199,6 +199,22 @@ fn a_repair_leaves_its_source_alone_whatever_it_is_called() {
 }
 
 /// What is attached has a checksum of its own: a survey looks at it, and a repair leaves it out and says so.
+/// One bit of the length of the file's first record: the chunks behind it are whole.
+#[test]
+fn a_damaged_beginning_costs_no_chunk() {
+    let dir = TempDir::new().unwrap();
+    let path = log(dir.path(), "a.mcap", same);
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[16] ^= 0x40;
+    std::fs::write(&path, &bytes).unwrap();
+    let mut reader = Reader::open(&path).unwrap();
+    assert!(matches!(reader.next(), Err(Error::Damaged { at: 8, .. })));
+    let mended = dir.path().join("mended.mcap");
+    let found = repair(&path, &mended, Limits::default(), &mut |_, _| {}).unwrap();
+    assert_eq!((found.messages, found.damaged_count), (1200, 1), "{found:?}");
+    assert_eq!(Survey::of(&mut Reader::open(&mended).unwrap(), &mut |_, _| {}).unwrap().messages, 1200);
+}
+
 #[test]
 fn a_damaged_attachment_is_found_and_left_out() {
     let dir = TempDir::new().unwrap();

@@ -34,7 +34,7 @@ enum Verb {
     Repair(RepairArgs),
     /// Writes a part of a log, in time, in streams or both, to a new one
     Cut(CutArgs),
-    /// Merges logs into the order of arrival
+    /// Merges logs into the order of arrival; a stream whose name an earlier log has, too, is put below the name of its file
     Merge(MergeArgs),
     /// Where two logs part: the first difference of each stream, bit for bit; streams of host time are not compared
     /// (exit status 1 where they differ)
@@ -303,11 +303,14 @@ impl RepairArgs {
         let nothing = found.messages == 0 && !found.was_complete;
         if self.json {
             print_json(&Written { output: &output, what: &found })?;
-        } else {
+        } else if !nothing {
             told(&output, &found);
         }
         if nothing {
-            return Err(Failure::Work(format!("{}: no message in it is whole", self.file.display())));
+            // A log without a message would pass for a recording.
+            std::fs::remove_file(&output).map_err(|error| Failure::unwritable(&output, &error))?;
+            let file = self.file.display();
+            return Err(Failure::Work(format!("{file}: no message in it is whole; nothing was written")));
         }
         Ok(())
     }
