@@ -48,28 +48,16 @@ fn what_is_recorded_in_the_sample_room_is_followed() {
     let scene = checkout().join("crates/vergence-scene/samples/room.toml");
     let flight = data.join("trajectories/V1_01_easy.tum.txt");
     let rig = data.join("slam/euroc_v101_start");
+    let camera = |rig: &Path, out: &Path, knobs: &[&str]| {
+        let call = ["sim", "camera", text(&scene), "--trajectory", text(&flight), "--rig", text(rig)];
+        tool(&[&call, &["-o", text(out)], knobs].concat())
+    };
     let record = |name: &str, length: &str, seed: &str| {
         let out = folder.path().join(name);
-        let said = done(&[
-            "sim",
-            "camera",
-            text(&scene),
-            "--trajectory",
-            text(&flight),
-            "--rig",
-            text(&rig),
-            "--from",
-            "10",
-            "--length",
-            length,
-            "--oversampling",
-            "1",
-            "--seed",
-            seed,
-            "-o",
-            text(&out),
-            "--json",
-        ]);
+        let knobs = ["--from", "10", "--length", length, "--oversampling", "1", "--seed", seed, "--json"];
+        let output = camera(&rig, &out, &knobs);
+        assert!(output.status.success(), "{}", told(&output));
+        let said = last_object(&String::from_utf8_lossy(&output.stdout)).expect("one object");
         assert_eq!(said["cameras"], 2, "{said}");
         out
     };
@@ -98,30 +86,10 @@ fn what_is_recorded_in_the_sample_room_is_followed() {
     // A second and a half along a bare wall: seen, 2 mm over two seconds.
     assert!(ate < 0.02, "{eval}");
 
-    let again = tool(&[
-        "sim",
-        "camera",
-        text(&scene),
-        "--trajectory",
-        text(&flight),
-        "--rig",
-        text(&rig),
-        "-o",
-        text(&long),
-    ]);
+    let again = camera(&rig, &long, &[]);
     assert_eq!(again.status.code(), Some(2), "{}", told(&again));
     let nowhere = folder.path().join("nowhere");
-    let lost = tool(&[
-        "sim",
-        "camera",
-        text(&scene),
-        "--trajectory",
-        text(&flight),
-        "--rig",
-        text(&nowhere),
-        "-o",
-        "x",
-    ]);
+    let lost = camera(&nowhere, Path::new("x"), &[]);
     assert_eq!(lost.status.code(), Some(1), "{}", told(&lost));
     assert!(told(&lost).contains("nowhere"), "{}", told(&lost));
 }

@@ -2,6 +2,7 @@
 
 mod anchor;
 mod brief;
+mod dice;
 mod error;
 mod fast;
 mod flow;

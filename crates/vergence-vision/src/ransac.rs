@@ -1,5 +1,7 @@
 //! Models that most of the data agree with, found by guesses from few of them.
 
+use crate::dice::Dice;
+
 /// How long [`consensus`] looks.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacKnobs {
@@ -14,19 +16,6 @@ pub struct RansacKnobs {
 impl Default for RansacKnobs {
     fn default() -> Self {
         Self { seed: 1, most: 1000, confidence: 0.999 }
-    }
-}
-
-/// Steele, Lea, Flood, "Fast Splittable Pseudorandom Number Generators", 2014 (SplitMix64).
-struct Dice(u64);
-
-impl Dice {
-    fn below(&mut self, count: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (((z ^ (z >> 31)) as u128 * count as u128) >> 64) as usize
     }
 }
 
