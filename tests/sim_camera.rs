@@ -50,7 +50,7 @@ fn what_is_recorded_in_the_sample_room_is_followed() {
     let rig = data.join("slam/euroc_v101_start");
     let camera = |rig: &Path, out: &Path, knobs: &[&str]| {
         let call = ["sim", "camera", text(&scene), "--trajectory", text(&flight), "--rig", text(rig)];
-        tool(&[&call, &["-o", text(out)], knobs].concat())
+        tool(&[&call[..], &["-o", text(out)], knobs].concat())
     };
     let record = |name: &str, length: &str, seed: &str| {
         let out = folder.path().join(name);
