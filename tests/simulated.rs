@@ -308,6 +308,57 @@ fn who_has_read_enough_is_not_told_of_a_panic() {
     assert!(ended.stderr.is_empty(), "{}", told(&ended));
 }
 
+#[test]
+fn a_full_disk_behind_what_is_printed_is_one_sentence() {
+    let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") else {
+        println!("skipped: no /dev/full");
+        return;
+    };
+    let ended = Command::new(vergence_tests::vergence())
+        .args(["plan".as_ref(), sample().as_os_str()])
+        .stdout(full)
+        .output()
+        .expect("the vergence binary starts");
+    assert_eq!(ended.status.code(), Some(1), "{}", told(&ended));
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(said.lines().count() == 1 && said.starts_with("vergence: printing failed: stdout"), "{said}");
+}
+
+#[test]
+fn a_recording_is_not_written_over_by_mistake() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (log, kept) = (folder.path().join("kept.mcap"), b"somebody's hour");
+    std::fs::write(&log, kept).expect("a file");
+    let table = folder.path().join("t.csv");
+    std::fs::write(&table, "t_s,x\n0,1\n").expect("a file");
+    let log = log.to_str().expect("a path in UTF-8");
+    let room = sample();
+    let calls: [Vec<&str>; 3] = [
+        vec!["record", log, "--device", "serial:/dev/no-such-port"],
+        vec!["run", room.to_str().expect("a path in UTF-8"), "--headset", "simulated", "--record", log],
+        vec!["log", "import", "csv", table.to_str().expect("a path in UTF-8"), "-o", log],
+    ];
+    for call in calls {
+        let ended = Command::new(vergence_tests::vergence())
+            .args(&call)
+            .output()
+            .expect("the vergence binary starts");
+        assert_eq!(ended.status.code(), Some(2), "{call:?}: {}", told(&ended));
+        assert!(
+            String::from_utf8_lossy(&ended.stderr).contains("--overwrite replaces it"),
+            "{}",
+            told(&ended)
+        );
+        assert_eq!(std::fs::read(log).expect("it is there"), kept, "{call:?}");
+    }
+    let ended = Command::new(vergence_tests::vergence())
+        .args(["log", "import", "csv", table.to_str().expect("a path in UTF-8"), "--overwrite", "-o", log])
+        .output()
+        .expect("the vergence binary starts");
+    assert_eq!(ended.status.code(), Some(0), "{}", told(&ended));
+    assert_ne!(std::fs::read(log).expect("it is there"), kept);
+}
+
 /// The manifest of our runtime, for the system's loader; `None`, and the test says that it is skipped, without a loader.
 fn runtime() -> Option<String> {
     let loader = Command::new("hello_xr").stdin(std::process::Stdio::null()).output();

@@ -40,6 +40,18 @@ impl Failure {
         vergence_session::own_file(option, output, read).map_err(|error| Self::call(&error))
     }
 
+    /// Refuses to write over a file that has something in it, unless that was asked for.
+    pub fn unless_kept(output: &Path, overwrite: bool) -> Result<(), Self> {
+        match std::fs::metadata(output) {
+            Ok(there) if there.is_file() && there.len() > 0 && !overwrite => Err(Self::Call(format!(
+                "{}: expected no such file yet, found one of {} bytes; --overwrite replaces it",
+                output.display(),
+                there.len()
+            ))),
+            _ => Ok(()),
+        }
+    }
+
     /// What should be at `path` cannot be written there.
     pub fn unwritable(path: &Path, error: &dyn std::error::Error) -> Self {
         Self::Work(format!("{}: {error}", path.display()))

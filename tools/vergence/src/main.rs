@@ -26,6 +26,7 @@ mod study;
 mod timing;
 mod trade;
 
+use std::io::Write;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, ExitCode};
 
@@ -101,14 +102,20 @@ fn quiet_loader() {
 
 /// Who reads what is printed may have enough of it (`… | head`): then this process ends without a word, with the status that a
 /// shell gives to a process which writes to a pipe that nobody reads. Rust ignores the signal, and `println!` panics; the
-/// signal's own way would also end a run whose runtime or display goes away.
-fn end_where_nobody_reads() {
+/// signal's own way would also end a run whose runtime or display goes away. Where what is printed finds no room (a full disk),
+/// that is one sentence, and the work has failed.
+fn end_where_printing_fails() {
     const NOBODY_READS: i32 = 128 + 13;
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         let says = panic.payload_as_str().unwrap_or_default();
-        if says.starts_with("failed printing to std") && says.contains("Broken pipe") {
-            std::process::exit(NOBODY_READS);
+        if let Some(why) = says.strip_prefix("failed printing to std") {
+            if why.contains("Broken pipe") {
+                std::process::exit(NOBODY_READS);
+            }
+            // Nothing else can be said where this fails as well; the status says it.
+            let _ = writeln!(std::io::stderr(), "vergence: printing failed: std{why}");
+            std::process::exit(1);
         }
         usual(panic);
     }));
@@ -125,7 +132,7 @@ fn live_through_full_files() {
 }
 
 fn main() -> ExitCode {
-    end_where_nobody_reads();
+    end_where_printing_fails();
     live_through_full_files();
     let cli = Cli::parse();
     logging::start(cli.verbose);

@@ -36,6 +36,9 @@ pub struct Args {
     /// Ends after so many seconds [default: with Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<f64>,
+    /// Replaces the log where there is one already
+    #[arg(long)]
+    overwrite: bool,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
@@ -95,6 +98,7 @@ impl Args {
         if let Some(config) = &self.config {
             Failure::unless_own("OUTPUT", &self.output, std::slice::from_ref(config))?;
         }
+        Failure::unless_kept(&self.output, self.overwrite)?;
         let clock: Arc<dyn Clock> = Arc::new(HostClock::start());
         let stop = interrupted()?;
         let mut opened = open(&self.devices, self.config.as_ref(), &clock)?;
@@ -199,7 +203,6 @@ struct Printed<'a> {
     last: Option<Timestamp>,
     /// Samples wait for this.
     pace: Option<(HostClock, f64)>,
-    broken: bool,
 }
 
 impl Sink for Printed<'_> {
@@ -213,7 +216,6 @@ impl Sink for Printed<'_> {
     }
 
     fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
-        use std::io::Write;
         self.samples += 1;
         let first = *self.first.get_or_insert(sample.arrived);
         self.last = Some(sample.arrived);
@@ -228,14 +230,8 @@ impl Sink for Printed<'_> {
             let due = Span::from_secs_f64(since.as_secs_f64() / speed).unwrap_or(Span::ZERO);
             clock.sleep_until(Timestamp::default().saturating_add(due));
         }
-        if !self.broken && self.streams.get(stream).is_some_and(|(_, is_printed)| *is_printed) {
-            let line = format!(
-                "{} {} {}",
-                sample.captured.as_nanos(),
-                sample.arrived.as_nanos(),
-                words(&sample.value)
-            );
-            self.broken = writeln!(std::io::stdout().lock(), "{line}").is_err();
+        if self.streams.get(stream).is_some_and(|(_, is_printed)| *is_printed) {
+            println!("{} {} {}", sample.captured.as_nanos(), sample.arrived.as_nanos(), words(&sample.value));
         }
     }
 }

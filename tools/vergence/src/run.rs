@@ -72,6 +72,9 @@ pub struct Args {
     /// Records the session; `vergence replay` lives through it again
     #[arg(long, value_name = "FILE.mcap")]
     record: Option<PathBuf>,
+    /// Replaces the recording where there is one already
+    #[arg(long, requires = "record")]
+    overwrite: bool,
     /// Asks the disk to have each part of the recording before the next: as safe from a power cut as from a kill
     #[arg(long, requires = "record")]
     durable: bool,
@@ -133,6 +136,9 @@ impl Args {
                 let Some(path) = path else { continue };
                 Failure::unless_own(option, path, std::slice::from_ref(quality))?;
             }
+        }
+        if let Some(record) = &self.record {
+            Failure::unless_kept(record, self.overwrite)?;
         }
         stop_on_signals(&config.stop)?;
         let bar = self.bar();

@@ -24,6 +24,9 @@ pub struct ImportArgs {
     /// The new log
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Replaces the log where there is one already
+    #[arg(long)]
+    overwrite: bool,
     /// Which way the poses' world is turned (euroc, tum, broad)
     #[arg(long, value_enum, default_value_t = World::AsRecorded)]
     world: World,
@@ -128,6 +131,7 @@ impl ImportArgs {
                 format!("{}: expected another file than the recording itself", self.output.display());
             return Err(Failure::Call(message));
         }
+        Failure::unless_kept(&self.output, self.overwrite)?;
         if self.world != World::AsRecorded && matches!(self.kind, Kind::Xdf | Kind::Csv) {
             return Err(Failure::Call("--world: expected a kind with poses: euroc, tum, broad".into()));
         }
