@@ -39,7 +39,7 @@ const CONFIRMED_MOST_S: f64 = 40.0;
 /// How fast confirmation is lost while readings deviate, seconds per second.
 const CONFIRMED_LOSS: f64 = 0.3;
 /// The rate from which turning counts, radians per second.
-const TURNING: f64 = 20.0 * std::f64::consts::PI / 180.0;
+pub(super) const TURNING: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
 /// Field in the level frame (3) and offset in the sensor frame (3), microteslas.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,9 +63,20 @@ pub struct FieldWindow {
     level: Matrix3<f64>,
     rate: f64,
     pub(super) samples: f64,
+    /// How long it took to gather them, seconds: longer than a window where the magnetometer is slow.
+    pub(super) length_s: f64,
 }
 
-saved!(FieldWindow { field, level, rate, samples });
+saved!(FieldWindow { field, level, rate, samples, length_s });
+
+/// What a deviation that stays with the sensor is taken for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Jump {
+    /// A magnet attached or removed.
+    Magnet,
+    /// Another field, while nothing turns and turning has not confirmed the one that is known.
+    Room,
+}
 
 impl FieldWindow {
     #[inline]
@@ -74,6 +85,11 @@ impl FieldWindow {
         self.level += r;
         self.rate += rate;
         self.samples += 1.0;
+    }
+
+    /// Mean rate of turning, radians per second.
+    pub(super) fn mean_rate(&self) -> f64 {
+        self.rate / self.samples
     }
 }
 
@@ -95,26 +111,28 @@ impl Field {
         self.estimate.x[0].atan2(self.estimate.x[1])
     }
 
-    /// Learns from one window.
+    /// Learns from one window; gives the square of what it deviated by, µT².
     pub(super) fn learn(
         &mut self,
         window: &FieldWindow,
         rested: bool,
+        jump_is: Jump,
         params: &VergenceParams,
         c: &VergenceCoefficients,
-    ) {
+    ) -> f64 {
+        let step_s = window.length_s;
         let scale = 1.0 / window.samples;
         let (mean, level, rate) = (window.field * scale, window.level * scale, window.rate * scale);
         if !self.known {
             let field = mean - level * self.estimate.x.fixed_rows::<3>(3);
             self.estimate.x.fixed_rows_mut::<3>(0).copy_from(&field);
             self.known = true;
-            return;
+            return 0.0;
         }
         let e = &mut self.estimate;
         let calm = if rested { REST_FACTOR } else { 1.0 };
         let drift = (DRIFT_DEG_S * calm).to_radians() + DRIFT_PER_TURN * rate;
-        let drift = drift * drift * DRIFT_TIME_S * c.window_s;
+        let drift = drift * drift * DRIFT_TIME_S * step_s;
         let tangent = [e.x[1], -e.x[0]];
         for i in 0..2 {
             for j in 0..2 {
@@ -123,24 +141,30 @@ impl Field {
         }
         let deviation = mean - e.x.fixed_rows::<3>(0) - level * e.x.fixed_rows::<3>(3);
         let squared = deviation.norm_squared();
-        let share = (c.window_s / JUMP_TAU_S).min(1.0);
+        let share = (step_s / JUMP_TAU_S).min(1.0);
         self.deviation += (level.tr_mul(&deviation) - self.deviation) * share;
         self.deviation_squared += (squared - self.deviation_squared) * share;
         let stays = self.deviation.norm_squared();
         // A tenth of a microtesla squared keeps noise from looking like a magnet.
         let coherent = (stays / (self.deviation_squared + 0.1)).powi(JUMP_POWER);
-        let jump = ((stays - c.jump_squared).max(0.0) * coherent).min(JUMP_MOST) * c.window_s;
+        let jump = ((stays - c.jump_squared).max(0.0) * coherent).min(JUMP_MOST) * step_s;
         if self.deviation_squared < CONFIRMED_UT * CONFIRMED_UT {
-            let gained = c.window_s * rate / (rate + TURNING);
+            let gained = step_s * rate / (rate + TURNING);
             self.confirmed_s = (self.confirmed_s + gained).min(CONFIRMED_MOST_S);
         } else {
-            self.confirmed_s = (self.confirmed_s - CONFIRMED_LOSS * c.window_s).max(0.0);
+            self.confirmed_s = (self.confirmed_s - CONFIRMED_LOSS * step_s).max(0.0);
         }
         // A jump while nothing turns is a magnet at the sensor or near it, not another earth.
-        let unsure = if rate > TURNING { (1.0 - self.confirmed_s / CONFIRMED_S).max(0.0) } else { 0.0 };
-        let field_wander =
-            FIELD_WANDER * FIELD_WANDER * calm * c.window_s + params.jump_field * unsure * jump;
-        let offset_wander = OFFSET_WANDER * OFFSET_WANDER * c.window_s + params.jump_offset * jump;
+        let unsure = (1.0 - self.confirmed_s / CONFIRMED_S).max(0.0);
+        let (field_jump, offset_jump) = if rate > TURNING {
+            (params.jump_field * unsure, params.jump_offset)
+        } else if jump_is == Jump::Room {
+            (params.jump_offset * unsure, params.jump_offset * (1.0 - unsure))
+        } else {
+            (0.0, params.jump_offset)
+        };
+        let field_wander = FIELD_WANDER * FIELD_WANDER * calm * step_s + field_jump * jump;
+        let offset_wander = OFFSET_WANDER * OFFSET_WANDER * step_s + offset_jump * jump;
         for i in 0..3 {
             e.widen(i, field_wander, WIDEST);
             e.widen(3 + i, offset_wander, WIDEST_OFFSET);
@@ -148,7 +172,7 @@ impl Field {
         let still = 1.0 + c.motion / (rate + 0.1 * c.motion);
         let strange = squared * (1.0 - OUTLIER_SPARED * coherent);
         let outlier = 1.0 + (strange / c.outlier_squared).powf(OUTLIER_POWER);
-        let r = c.field_r * still * outlier;
+        let r = c.field_r * (c.window_s / step_s) * still * outlier;
         for i in 0..3 {
             let mut row = SVector::<f64, 6>::zeros();
             row[i] = 1.0;
@@ -157,6 +181,7 @@ impl Field {
             }
             e.observe(&row, mean[i], r);
         }
+        squared
     }
 
     /// The heading is lost; the offset is not.

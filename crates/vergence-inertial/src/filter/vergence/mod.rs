@@ -1,6 +1,7 @@
 //! `vergence`: our own filter. See [`Vergence`].
 
 mod field;
+mod fields;
 mod params;
 mod rates;
 mod rest;
@@ -11,7 +12,8 @@ use super::low_pass::LowPass;
 use super::saved::saved;
 use super::turn::{level, renormalised, turn};
 use super::{Clean, Core};
-use field::{Field, FieldWindow};
+use field::FieldWindow;
+use fields::Fields;
 use rates::{Rates, TiltWindow};
 use rest::{Rest, Stillness};
 
@@ -19,6 +21,13 @@ pub use params::{VergenceCoefficients, VergenceParams};
 
 /// Below this length the low-passed specific force says nothing about up, metres per second squared: free fall.
 const NO_GRAVITY: f64 = 1.0;
+
+/// The longest time that one reading of the magnetometer stands for, seconds.
+const FIELD_LONGEST_S: f64 = 1.0;
+
+/// The longest time that a reading of the accelerometer stands for those that are missing, seconds: it may be slower than the
+/// gyroscope.
+const HELD_S: f64 = 0.25;
 
 /// All that changes from sample to sample.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,8 +38,12 @@ pub struct VergenceState {
     /// The newest corrected rate, by which the answer is turned on.
     rate: Vector3<f64>,
     rates: Rates,
-    field: Field,
+    field: Fields,
     acc_low: LowPass<3>,
+    /// The newest reading of the accelerometer, in the sensor and in the inertial frame, and how much longer it may stand in.
+    acc: Vector3<f64>,
+    acc_inertial: Vector3<f64>,
+    acc_left_s: f64,
     rest: Rest,
     /// Whether up has been seen since the start or the last loss.
     started: bool,
@@ -49,6 +62,9 @@ saved!(VergenceState {
     rates,
     field,
     acc_low,
+    acc,
+    acc_inertial,
+    acc_left_s,
     rest,
     started,
     samples,
@@ -84,8 +100,11 @@ impl Vergence {
             earth_from_level: UnitQuaternion::identity(),
             rate: Vector3::zeros(),
             rates: Rates::new(&params, &coefficients),
-            field: Field::new(&params),
+            field: Fields::new(&params),
             acc_low: LowPass::default(),
+            acc: Vector3::zeros(),
+            acc_inertial: Vector3::zeros(),
+            acc_left_s: 0.0,
             rest: Rest::default(),
             started: false,
             samples: 0.0,
@@ -113,7 +132,7 @@ impl Vergence {
 
     /// Offset of the magnetometer as far as it is known, microteslas, sensor frame.
     pub fn mag_offset_ut(&self) -> Vector3<f64> {
-        self.state.field.estimate.x.fixed_rows::<3>(3).into_owned()
+        self.state.field.offset_ut()
     }
 
     fn end_window(&mut self) {
@@ -132,12 +151,14 @@ impl Vergence {
         if s.tilted >= c.window {
             s.rates.learn(&s.tilt_window, stillness, s.rest.found(), p, c);
         }
-        if s.field_window.samples >= 0.5 * c.window {
+        // A slow magnetometer says something in some windows only.
+        s.field_window.length_s = (s.field_window.length_s + c.window_s).min(FIELD_LONGEST_S);
+        if s.field_window.samples > 0.0 {
             s.field.learn(&s.field_window, rested, p, c);
             s.earth_from_level = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), s.field.heading_rad());
+            s.field_window = FieldWindow::default();
         }
         s.tilt_window = TiltWindow::default();
-        s.field_window = FieldWindow::default();
         s.samples = 0.0;
         s.tilted = 0.0;
     }
@@ -162,14 +183,20 @@ impl Core for Vergence {
             renormalised(s.inertial_from_sensor.into_inner() * turn(&(rate * sample.step_s)));
         s.samples += 1.0;
         let inertial = s.inertial_from_sensor.to_rotation_matrix();
-        let Some(acc) = &sample.acc_m_s2 else {
+        if let Some(acc) = &sample.acc_m_s2 {
+            s.acc = *acc;
+            s.acc_inertial = inertial * caught_up(acc, &rate, c.acc_lag_s);
+            s.acc_left_s = HELD_S;
+        } else if s.acc_left_s > 0.0 {
+            // What stands still while readings are missing is the direction in space, not in the sensor.
+            s.acc_left_s -= sample.step_s;
+        } else {
             if s.samples >= c.window {
                 self.end_window();
             }
             return;
-        };
-        let acc_now = caught_up(acc, &rate, c.acc_lag_s);
-        let acc_inertial = inertial * acc_now;
+        }
+        let acc_inertial = s.acc_inertial;
         let mean = s.acc_low.step(&acc_inertial, &c.acc);
         let up = s.level_from_inertial * mean;
         let length = up.norm();
@@ -187,7 +214,7 @@ impl Core for Vergence {
                 s.field_window.add(&r, &caught_up(mag, &rate, c.mag_lag_s), rate.norm());
             }
         }
-        s.rest.add(&sample.gyr_rad_s, acc);
+        s.rest.add(&sample.gyr_rad_s, &s.acc);
         if s.samples >= c.window {
             self.end_window();
         }
@@ -196,6 +223,7 @@ impl Core for Vergence {
     fn lost(&mut self, gap_s: f64) {
         let (s, c) = (&mut self.state, &self.coefficients);
         s.acc_low = LowPass::default();
+        s.acc_left_s = 0.0;
         s.rest.lost();
         s.started = false;
         s.samples = 0.0;

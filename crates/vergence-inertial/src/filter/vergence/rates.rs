@@ -18,6 +18,13 @@ const FACTOR_LIMIT: f64 = 0.05;
 /// The rate below which a sample says nothing about factors, radians per second: larger than any bias.
 const LEAST_TURN: f64 = 3.0 * std::f64::consts::PI / 180.0;
 
+/// A rest that says a bias smaller than what is known by more than this says that it is another one, radians per second: what was
+/// learned before was an even turn.
+const OTHER_REST: f64 = 0.3 * std::f64::consts::PI / 180.0;
+
+/// How long motion must contradict a bias beyond the usual limit until that is given up, seconds.
+const DOUBTED_S: f64 = 5.0;
+
 /// How much the factors wander, per second (variance): 0.1 % in half an hour.
 const FACTOR_WANDER: f64 = 1e-6 / 1800.0;
 
@@ -31,9 +38,11 @@ pub struct Rates {
     correction: Matrix3<f64>,
     rows: LowPass<24>,
     seen: LowPass<2>,
+    /// Seconds for which motion has contradicted a centre that is not zero.
+    doubted_s: f64,
 }
 
-saved!(Rates { estimate, centre, correction, rows, seen });
+saved!(Rates { estimate, centre, correction, rows, seen, doubted_s });
 
 /// What one window of samples says.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -102,6 +111,7 @@ impl Rates {
             correction: Matrix3::identity(),
             rows: LowPass::default(),
             seen: LowPass::default(),
+            doubted_s: 0.0,
         }
     }
 
@@ -130,6 +140,7 @@ impl Rates {
     /// The bias is near `rate`, whatever was thought before.
     pub(super) fn centre_on(&mut self, rate: Vector3<f64>, c: &VergenceCoefficients) {
         self.centre = rate;
+        self.doubted_s = 0.0;
         for i in 0..3 {
             self.estimate.forget(i, c.bias_p);
             self.estimate.x[i] = rate[i];
@@ -160,6 +171,12 @@ impl Rates {
         }
         if let Stillness::Rests { rate } = stillness {
             let Some((rate, variance)) = rate else { return };
+            let bias = e.x.fixed_rows::<3>(0).into_owned();
+            if rate.norm_squared() < bias.norm_squared() && (rate - bias).norm() > OTHER_REST {
+                for i in 0..3 {
+                    e.forget(i, c.bias_p);
+                }
+            }
             for i in 0..3 {
                 let mut row = SVector::<f64, N>::zeros();
                 row[i] = 1.0;
@@ -177,7 +194,13 @@ impl Rates {
             for (row, y) in rows.iter().zip(observed.iter()) {
                 e.observe(row, *y, r);
             }
+            let contradicted = deviation.norm() > c.tilt_most;
+            self.doubted_s = (self.doubted_s + if contradicted { c.window_s } else { -c.window_s }).max(0.0);
+            if self.doubted_s > DOUBTED_S && self.centre != Vector3::zeros() {
+                self.centre_on(Vector3::zeros(), c);
+            }
         }
+        let e = &mut self.estimate;
         for i in 0..N {
             let (centre, limit) = if i < 3 { (self.centre[i], c.bias_limit) } else { (0.0, FACTOR_LIMIT) };
             e.x[i] = e.x[i].clamp(centre - limit, centre + limit);

@@ -5,8 +5,11 @@ use nalgebra::Vector3;
 use super::params::{VergenceCoefficients, VergenceParams};
 use crate::filter::saved::saved;
 
-/// How long the first rest must last to be believed where the rate is beyond the limit of the bias, seconds.
+/// How long the first rest must last to be believed where the rate is beyond the limit of the bias, seconds. A drone warms its
+/// rotors up no longer; an even turn of a hand or a turntable may last as long, so what it says stays open to doubt.
 const FIRST_REST_S: f64 = 3.0;
+/// How long a rest must last that says the first one was none, but an even turn, seconds.
+const NO_TURN_S: f64 = 2.0;
 /// The largest rate that the first rest may have, radians per second: no gyroscope in use is off by more.
 const FIRST_LIMIT: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
@@ -57,7 +60,7 @@ pub enum Stillness {
     Moves,
     /// The unit rests. Now and then with a mean rate, which is its bias, and its variance for each axis.
     Rests { rate: Option<(Vector3<f64>, f64)> },
-    /// It rests with a rate that no bias was expected to have: the first rest, and nothing has contradicted it.
+    /// It rests with a rate that no bias was expected to have: the first rest, or one that shows that the first was an even turn.
     RestsFarOff { rate: Vector3<f64> },
 }
 
@@ -99,7 +102,13 @@ impl Rest {
         self.scatter += (turned / 3.0 - self.scatter) * share;
         self.still_s += c.window_s;
         if (self.gyr_mean - centre).amax() > c.bias_limit {
-            let believed = !self.found && self.still_s >= FIRST_REST_S && self.gyr_mean.amax() <= FIRST_LIMIT;
+            // Of two rates at rest the smaller one is the bias; the other was an even turn.
+            let smaller = self.gyr_mean.norm_squared() < centre.norm_squared();
+            let believed = if self.found {
+                smaller && self.still_s >= NO_TURN_S
+            } else {
+                self.still_s >= FIRST_REST_S && self.gyr_mean.amax() <= FIRST_LIMIT
+            };
             return if believed { Stillness::RestsFarOff { rate: self.gyr_mean } } else { Stillness::Moves };
         }
         if self.still_s < params.rest_min_s {
