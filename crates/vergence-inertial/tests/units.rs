@@ -135,6 +135,23 @@ fn an_even_turn_before_a_rest_is_no_bias() {
 }
 
 #[test]
+fn an_even_turn_after_a_gap_is_no_bias() {
+    // The bias is known from a rest; then half a second is missing, and the unit turns evenly.
+    let mut filter = Kind::Vergence.filter(Axes::Six, PERIOD);
+    for i in 0..40 * RATE_HZ {
+        let t = i as f64 / RATE_HZ as f64;
+        let rate = if (20.5..30.0).contains(&t) { 6f64.to_radians() } else { 0.0 };
+        let imu =
+            Imu { gyr_rad_s: Vector3::z() * rate, acc_m_s2: Vector3::new(0.0, 0.0, 9.81), mag_ut: None };
+        if !(20.0..20.5).contains(&t) {
+            filter.update(at(i), &imu);
+        }
+        let off = filter.gyro_bias_rad_s().norm().to_degrees();
+        assert!(t < 10.0 || off < BIAS_DEG_S, "{t} s: {off} deg/s");
+    }
+}
+
+#[test]
 fn an_even_turn_followed_by_motion_is_given_up() {
     // A turntable for ten seconds, then hands: there was no rest yet.
     let turn_s = 10;

@@ -45,7 +45,7 @@ use crate::Error;
 pub struct Clean {
     /// Time since the sample before, seconds; the nominal period for the first one. Positive.
     pub step_s: f64,
-    /// Mean angular rate over the step, radians per second.
+    /// Angular rate as the sensor says it at the end of the step, radians per second; over a bridged gap the mean.
     pub gyr_rad_s: Vector3<f64>,
     /// Specific force, metres per second squared, longer than zero.
     pub acc_m_s2: Option<Vector3<f64>>,

@@ -330,6 +330,15 @@ fn turned_resampled_and_biased_copies_score_alike() {
         println!(
             "{name}: changes of the average, vqf {vqf:.3?} vergence {ours:.3?}; of each, {vqf_each:.3?} {ours_each:.3?}"
         );
+        for (trial, ((name_of, _), now)) in trials.iter().zip(&found[1]).enumerate() {
+            let change = |kind: usize, i: usize| found[kind][trial][i] - plain[kind][trial][i];
+            for (i, figure) in ["9D total", "inclination", "6D start"].iter().enumerate() {
+                let (vqf, ours) = (change(0, i), change(1, i));
+                if ours > INVARIANCE_DEG.max(vqf.abs()) {
+                    println!("    {name_of} {figure}: {ours:+.3} to {:.3}, vqf {vqf:+.3}", now[i]);
+                }
+            }
+        }
         for i in 0..3 {
             let most = INVARIANCE_DEG.max(vqf[i].abs());
             let aliased = name == "100 Hz" && ours_each[i] <= INVARIANCE_DEG.max(vqf_each[i]);

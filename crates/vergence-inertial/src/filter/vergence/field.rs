@@ -38,6 +38,8 @@ const CONFIRMED_S: f64 = 5.0;
 const CONFIRMED_MOST_S: f64 = 40.0;
 /// How fast confirmation is lost while readings deviate, seconds per second.
 const CONFIRMED_LOSS: f64 = 0.3;
+/// While the tilt settles the field is the mean over this time, seconds.
+const SETTLING_TAU_S: f64 = 1.0;
 /// The rate from which turning counts, radians per second.
 pub(super) const TURNING: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
@@ -68,6 +70,17 @@ pub struct FieldWindow {
 }
 
 saved!(FieldWindow { field, level, rate, samples, length_s });
+
+/// How still the unit is, and whether it is known what is up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Calmness {
+    /// The tilt has not been followed for long enough to be right.
+    Settles,
+    /// It moves.
+    Moves,
+    /// It rests.
+    Rests,
+}
 
 /// What a deviation that stays with the sensor is taken for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,7 +128,7 @@ impl Field {
     pub(super) fn learn(
         &mut self,
         window: &FieldWindow,
-        rested: bool,
+        calmness: Calmness,
         jump_is: Jump,
         params: &VergenceParams,
         c: &VergenceCoefficients,
@@ -129,8 +142,17 @@ impl Field {
             self.known = true;
             return 0.0;
         }
+        if calmness == Calmness::Settles {
+            // A tilt that is still wrong turns the field: that is no magnet.
+            let field = mean - level * self.estimate.x.fixed_rows::<3>(3);
+            let share = (step_s / SETTLING_TAU_S).min(1.0);
+            for i in 0..3 {
+                self.estimate.x[i] += (field[i] - self.estimate.x[i]) * share;
+            }
+            return 0.0;
+        }
         let e = &mut self.estimate;
-        let calm = if rested { REST_FACTOR } else { 1.0 };
+        let calm = if calmness == Calmness::Rests { REST_FACTOR } else { 1.0 };
         let drift = (DRIFT_DEG_S * calm).to_radians() + DRIFT_PER_TURN * rate;
         let drift = drift * drift * DRIFT_TIME_S * step_s;
         let tangent = [e.x[1], -e.x[0]];
@@ -163,16 +185,17 @@ impl Field {
         } else {
             (0.0, params.jump_offset)
         };
+        let still = 1.0 + c.motion / (rate + 0.1 * c.motion);
+        let r = c.field_r * (c.window_s / step_s) * still;
         let field_wander = FIELD_WANDER * FIELD_WANDER * calm * step_s + field_jump * jump;
         let offset_wander = OFFSET_WANDER * OFFSET_WANDER * step_s + offset_jump * jump;
         for i in 0..3 {
             e.widen(i, field_wander, WIDEST);
             e.widen(3 + i, offset_wander, WIDEST_OFFSET);
         }
-        let still = 1.0 + c.motion / (rate + 0.1 * c.motion);
         let strange = squared * (1.0 - OUTLIER_SPARED * coherent);
         let outlier = 1.0 + (strange / c.outlier_squared).powf(OUTLIER_POWER);
-        let r = c.field_r * (c.window_s / step_s) * still * outlier;
+        let r = r * outlier;
         for i in 0..3 {
             let mut row = SVector::<f64, 6>::zeros();
             row[i] = 1.0;

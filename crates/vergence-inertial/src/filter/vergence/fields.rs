@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::field::{Field, FieldWindow, Jump, TURNING};
+use super::field::{Calmness, Field, FieldWindow, Jump, TURNING};
 use super::params::{VergenceCoefficients, VergenceParams};
 use crate::filter::saved::saved;
 
@@ -63,14 +63,14 @@ impl Fields {
     pub(super) fn learn(
         &mut self,
         window: &FieldWindow,
-        rested: bool,
+        calmness: Calmness,
         params: &VergenceParams,
         c: &VergenceCoefficients,
     ) {
-        let magnet = self.magnet.learn(window, rested, Jump::Magnet, params, c);
-        let room = self.room.learn(window, rested, Jump::Room, params, c);
+        let magnet = self.magnet.learn(window, calmness, Jump::Magnet, params, c);
+        let room = self.room.learn(window, calmness, Jump::Room, params, c);
         let rate = window.mean_rate();
-        if rate < TURNING {
+        if rate < TURNING || calmness == Calmness::Settles {
             return;
         }
         let step_s = window.length_s;

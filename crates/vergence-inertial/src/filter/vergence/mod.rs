@@ -12,7 +12,7 @@ use super::low_pass::LowPass;
 use super::saved::saved;
 use super::turn::{level, renormalised, turn};
 use super::{Clean, Core};
-use field::FieldWindow;
+use field::{Calmness, FieldWindow};
 use fields::Fields;
 use rates::{Rates, TiltWindow};
 use rest::{Rest, Stillness};
@@ -21,6 +21,9 @@ pub use params::{VergenceCoefficients, VergenceParams};
 
 /// Below this length the low-passed specific force says nothing about up, metres per second squared: free fall.
 const NO_GRAVITY: f64 = 1.0;
+
+/// After so many time constants of the accelerometer's low-pass the tilt is right also from a start in motion.
+const SETTLED: f64 = 2.0;
 
 /// The longest time that one reading of the magnetometer stands for, seconds.
 const FIELD_LONGEST_S: f64 = 1.0;
@@ -47,6 +50,8 @@ pub struct VergenceState {
     rest: Rest,
     /// Whether up has been seen since the start or the last loss.
     started: bool,
+    /// Seconds since then.
+    levelled_s: f64,
     samples: f64,
     /// Samples of the window that had a specific force.
     tilted: f64,
@@ -67,6 +72,7 @@ saved!(VergenceState {
     acc_left_s,
     rest,
     started,
+    levelled_s,
     samples,
     tilted,
     tilt_window,
@@ -107,6 +113,7 @@ impl Vergence {
             acc_left_s: 0.0,
             rest: Rest::default(),
             started: false,
+            levelled_s: 0.0,
             samples: 0.0,
             tilted: 0.0,
             tilt_window: TiltWindow::default(),
@@ -147,6 +154,12 @@ impl Vergence {
             return;
         }
         let rested = matches!(stillness, Stillness::Rests { .. });
+        s.levelled_s = if s.started { s.levelled_s + c.window_s } else { 0.0 };
+        let calmness = match rested {
+            true => Calmness::Rests,
+            false if s.levelled_s < SETTLED * p.tau_acc_s => Calmness::Settles,
+            false => Calmness::Moves,
+        };
         // A window with holes says what it says about fewer samples; it is not used.
         if s.tilted >= c.window {
             s.rates.learn(&s.tilt_window, stillness, s.rest.found(), p, c);
@@ -154,7 +167,7 @@ impl Vergence {
         // A slow magnetometer says something in some windows only.
         s.field_window.length_s = (s.field_window.length_s + c.window_s).min(FIELD_LONGEST_S);
         if s.field_window.samples > 0.0 {
-            s.field.learn(&s.field_window, rested, p, c);
+            s.field.learn(&s.field_window, calmness, p, c);
             s.earth_from_level = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), s.field.heading_rad());
             s.field_window = FieldWindow::default();
         }
@@ -226,6 +239,7 @@ impl Core for Vergence {
         s.acc_left_s = 0.0;
         s.rest.lost();
         s.started = false;
+        s.levelled_s = 0.0;
         s.samples = 0.0;
         s.tilted = 0.0;
         s.tilt_window = TiltWindow::default();

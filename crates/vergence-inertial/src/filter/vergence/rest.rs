@@ -142,6 +142,7 @@ impl Rest {
 
     /// Nothing is known about the last moments.
     pub(super) fn lost(&mut self) {
-        *self = Self::default();
+        // What was a rest before the gap was one: an even turn after it is none.
+        *self = Self { found: self.found, ..Self::default() };
     }
 }
