@@ -345,9 +345,9 @@ struct Screen {
 }
 
 impl Screen {
-    fn start() -> Option<Self> {
+    fn start(size: &str) -> Option<Self> {
         let mut server = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", "1024x900x24", "-nolisten", "tcp"])
+            .args(["-displayfd", "1", "-screen", "0", &format!("{size}x24"), "-nolisten", "tcp"])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
@@ -370,6 +370,44 @@ impl Drop for Screen {
     }
 }
 
+#[test]
+fn where_no_window_can_be_no_log_is_begun() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let here = folder.path();
+    done(here, &["study", "new", "study.toml"]);
+    let run_on = |display: &str| {
+        Command::new(vergence())
+            .current_dir(here)
+            .env("DISPLAY", display)
+            .env_remove("WAYLAND_DISPLAY")
+            .env_remove("WAYLAND_SOCKET")
+            .args([
+                "study",
+                "run",
+                "study.toml",
+                "--participant",
+                "P01",
+                "--headset",
+                "desktop",
+                "--dpi",
+                "72",
+            ])
+            .output()
+            .expect("the tool runs")
+    };
+    let output = run_on("");
+    assert!(!output.status.success(), "{}", said(&output));
+    assert!(!here.join("study.data").exists(), "{}", said(&output));
+    let Some(small) = Screen::start("640x300") else {
+        skip("xvfb", "it is not installed");
+        return;
+    };
+    let output = run_on(&small.display);
+    assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+    assert!(said(&output).contains("found 640×300"), "{}", said(&output));
+    assert!(!here.join("study.data").exists(), "{}", said(&output));
+}
+
 /// A study in a window, and the mouse in its participant's hand.
 struct Desk {
     screen: Screen,
@@ -386,7 +424,7 @@ impl Desk {
     /// Opens the study of `here` for its first participant; `None`, and the test says that it is skipped, where something is
     /// not installed.
     fn open(here: &Path) -> Option<Self> {
-        let Some(screen) = Screen::start() else {
+        let Some(screen) = Screen::start("1600x1400") else {
             skip("xvfb", "it is not installed");
             return None;
         };

@@ -77,17 +77,44 @@ pub fn window_size(study: &Study, how: &OnDesktop) -> Result<(u32, u32), Error> 
     Ok((pixels(2.0 * (reach + MARGIN_M)), pixels(2.0 * (high + MARGIN_M + WORDS_M))))
 }
 
-/// Runs a sitting that was begun in a window, until everything is done, `most_trials` are, or the window is closed.
+/// The window of a sitting, opened before anything is written: where there is none, no log is left behind.
+pub struct Desk {
+    window: Window,
+    screen: Screen,
+    wanted: (u32, u32),
+}
+
+impl Desk {
+    /// Opens it.
+    ///
+    /// # Errors
+    /// No window, no device that draws in it, or a screen that is too small.
+    pub fn open(study: &Study, how: &OnDesktop) -> Result<Self, Error> {
+        let wanted = window_size(study, how)?;
+        let window = Window::open(&study.name, wanted)?;
+        // Without a window manager nobody makes a window as small as the screen.
+        if let Some(found) = window.screen()
+            && (found.0 < wanted.0 || found.1 < wanted.1)
+        {
+            return Err(too_small(wanted, found, how.dpi));
+        }
+        let screen = Screen::new(study, &window, how)?;
+        Ok(Self { window, screen, wanted })
+    }
+}
+
+/// Runs a sitting that was begun in its window, until everything is done, `most_trials` are, or the window is closed.
 ///
 /// # Errors
-/// No window, no device that draws in it, a screen that is too small, or a disk that takes no more. What was finished is
-/// on the disk, and the folder knows why the sitting ended.
+/// A device that is lost, a window made too small, or a disk that takes no more. What was finished is on the disk, and the
+/// folder knows why the sitting ended.
 pub fn on_desktop(
     mut conduct: Conduct,
+    desk: Desk,
     how: &OnDesktop,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<Ended, Error> {
-    let ran = sit(&mut conduct, how, progress);
+    let ran = sit(&mut conduct, desk, how, progress);
     let why = match &ran {
         Ok(why) => why.clone(),
         Err(error) => error.to_string(),
@@ -99,13 +126,12 @@ pub fn on_desktop(
 
 fn sit(
     conduct: &mut Conduct,
+    desk: Desk,
     how: &OnDesktop,
     progress: &mut dyn FnMut(usize, usize),
 ) -> Result<String, Error> {
     let study = conduct.study().clone();
-    let wanted = window_size(&study, how)?;
-    let mut window = Window::open(&study.name, wanted)?;
-    let mut screen = Screen::new(&study, &window, how)?;
+    let Desk { mut window, mut screen, wanted } = desk;
     let mut actor = match how.input {
         Input::Simulated(seed) => Some(Actor::new(&study, conduct.participant(), seed, true)?),
         _ => None,

@@ -20,7 +20,7 @@ mod wearer;
 
 pub use conduct::{Conduct, Ended};
 pub use course::{Course, Goal, Reading, Showing, Step};
-pub use desktop::{OnDesktop, on_desktop, window_size};
+pub use desktop::{Desk, OnDesktop, on_desktop, window_size};
 pub use error::Error;
 pub use folder::{Deleted, Folder, Sitting, State};
 pub use headset::{InHeadset, check, in_headset};

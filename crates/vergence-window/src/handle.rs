@@ -20,6 +20,12 @@ impl Handle {
         (size.width, size.height)
     }
 
+    pub(crate) fn screen(&self) -> Option<(u32, u32)> {
+        let size = self.window.current_monitor()?.size();
+        // Of a screen that is about to go, nothing is known.
+        (size.width > 0 && size.height > 0).then_some((size.width, size.height))
+    }
+
     pub(crate) fn set_title(&self, title: &str) {
         self.window.set_title(title);
     }

@@ -119,6 +119,11 @@ impl Window {
         self.handle.size()
     }
 
+    /// Size in physical pixels of the screen that the window is on; `None` where the window system does not say.
+    pub fn screen(&self) -> Option<(u32, u32)> {
+        self.handle.screen()
+    }
+
     /// Changes the title.
     pub fn set_title(&self, title: &str) {
         self.handle.set_title(title);

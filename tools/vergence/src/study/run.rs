@@ -6,8 +6,8 @@ use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use vergence_experiment::{
-    About, Conduct, Ended, Error, Folder, InHeadset, Input, Metronome, OnDesktop, Sound, check, in_headset,
-    on_desktop, window_size,
+    About, Conduct, Desk, Ended, Error, Folder, InHeadset, Input, Metronome, OnDesktop, Sound, check,
+    in_headset, on_desktop, window_size,
 };
 use vergence_session::{
     CaptureConfig, Fault, FaultPlan, Happening, HeadsetChoice, RecordConfig, RecordReport, RunConfig,
@@ -131,6 +131,8 @@ impl Run {
         let study = Study::parse(&self.study, &text).map_err(|error| Failure::Work(error.to_string()))?;
         let checked = if is_desktop { window_size(&study, &desktop).map(drop) } else { check(&study, &how) };
         checked.map_err(|error| failed(&error))?;
+        let desk = is_desktop.then(|| Desk::open(&study, &desktop)).transpose();
+        let desk = desk.map_err(|error| failed(&error))?;
         let sound = if matches!(input, Input::Simulated(_)) { &Sound::Silent } else { &self.sound };
         let metronome = Metronome::of(&study, sound).map_err(|error| failed(&error))?;
         let mut notes = std::collections::BTreeMap::new();
@@ -173,8 +175,8 @@ impl Run {
             }
         };
         let mut progress = |done: usize, _: usize| bar.set_position(done as u64);
-        let ran: Result<(Ended, Option<RunReport>), Error> = if is_desktop {
-            on_desktop(conduct, &desktop, &mut progress).map(|ended| (ended, None))
+        let ran: Result<(Ended, Option<RunReport>), Error> = if let Some(desk) = desk {
+            on_desktop(conduct, desk, &desktop, &mut progress).map(|ended| (ended, None))
         } else {
             in_headset(conduct, &how, &mut watch, &mut progress).map(|(ended, report)| (ended, Some(report)))
         };
