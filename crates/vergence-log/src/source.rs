@@ -11,6 +11,7 @@ use vergence_time::Timestamp;
 use crate::error::Error;
 use crate::lane::Lane;
 use crate::message::{Message, Stream, StreamDesc, Times};
+use crate::messages::Compressed;
 use crate::reader::{Entry, Reader, StreamInfo};
 use crate::recorder::Recorder;
 
@@ -158,7 +159,7 @@ fn kind_of(stream: &StreamInfo) -> Option<ReadingKind> {
         Imu::NAME => ReadingKind::Imu,
         Pose::NAME => ReadingKind::Pose,
         Gaze::NAME => ReadingKind::Gaze,
-        <Image<'_> as Message>::NAME => ReadingKind::Image,
+        <Image<'_> as Message>::NAME | <Compressed<'_> as Message>::NAME => ReadingKind::Image,
         Event::NAME => ReadingKind::Event,
         _ => return None,
     })
@@ -184,6 +185,9 @@ fn decode(kind: ReadingKind, entry: &Entry<'_>, is_first: bool) -> Result<Sample
         ReadingKind::Imu => as_reading(entry, is_first, Reading::Imu),
         ReadingKind::Pose => as_reading(entry, is_first, Reading::Pose),
         ReadingKind::Gaze => as_reading(entry, is_first, Reading::Gaze),
+        ReadingKind::Image if entry.stream.type_name() == <Compressed<'_> as Message>::NAME => {
+            as_reading::<Compressed<'static>>(entry, is_first, |compressed| Reading::Image(compressed.0))
+        }
         ReadingKind::Image => as_reading::<Image<'static>>(entry, is_first, Reading::Image),
         ReadingKind::Event => as_reading(entry, is_first, Reading::Event),
     }
@@ -203,6 +207,11 @@ impl LogSource {
     /// The log's reader.
     pub fn reader(&self) -> &Reader {
         &self.reader
+    }
+
+    /// When the next sample arrived that was read already but not given.
+    pub fn next_arrival(&self) -> Option<Timestamp> {
+        self.next.as_ref().map(|(_, sample)| sample.arrived)
     }
 
     fn read(&mut self, sink: &mut dyn Sink) -> Option<(usize, Sample<Reading<'static>>)> {

@@ -27,6 +27,12 @@ pub enum Error {
     /// A recording cannot be followed.
     #[error(transparent)]
     Odometry(#[from] vergence_slam::Error),
+    /// A log in which no rig was recorded.
+    #[error("{}: expected a log of a rig (metadata vergence.rig, as `vergence log import euroc` writes it), found none", path.display())]
+    NoRig {
+        /// The log.
+        path: PathBuf,
+    },
     /// What is needed could not be read.
     #[error("{path}: cannot be read: {source}")]
     Read {

@@ -8,7 +8,8 @@ use std::thread::JoinHandle;
 use nalgebra::Vector3;
 use vergence_geom::{Rigid, log, yaw};
 use vergence_sense::Pose;
-use vergence_slam::dataset::Dataset;
+use vergence_slam::dataset::{Dataset, Rig};
+use vergence_slam::follower::Follower;
 use vergence_slam::playback::{Mode, Playback};
 use vergence_slam::{Estimate, Params, State};
 use vergence_stream::{How, PoseHistory, Reach};
@@ -18,6 +19,7 @@ use vergence_xr_sim::motion::{AtEnd, Gaps, Motion, Sample, Trajectory};
 
 use crate::error::Error;
 use crate::report::OdometryReport;
+use crate::rig_log::RigLog;
 
 /// What the name of such a motion begins with.
 const PREFIX: &str = "slam:";
@@ -28,29 +30,82 @@ const PERIODS_BRIDGED: f64 = 3.5;
 /// Poses that may wait for their time to come: half a minute of a camera at 20 Hz, 200 bytes each.
 const AHEAD: usize = 600;
 
-/// The folder of the recording that a motion names; `None` for another motion.
+/// The recording that a motion names: a folder or a log; `None` for another motion.
 pub(crate) fn folder(motion: &str) -> Option<&Path> {
     motion.strip_prefix(PREFIX).map(Path::new)
 }
 
-/// A head for a rig: between the eyes is where the first camera is, and it looks where that looks (x right, y down, z ahead
-/// become x right, y up, −z ahead).
-fn body_from_head(dataset: &Dataset) -> Rigid {
-    let camera_from_head = Rigid::rotation(Vector3::x() * std::f64::consts::PI);
-    dataset.cameras.first().map_or(camera_from_head, |camera| camera.body_from_camera * camera_from_head)
+/// A recorded rig: the folder of a data set, or a session log that has one.
+enum Recording {
+    Folder(Box<Dataset>),
+    Log(RigLog),
 }
 
-/// Follows the whole recording, as far as `goes_on` lets it.
-fn follow(dataset: &Dataset, mut take: impl FnMut(&Estimate) -> bool) -> Result<(), vergence_slam::Error> {
-    let mode = Mode::of(dataset);
-    let mut playback = Playback::new(dataset, mode, TrackerKnobs::default(), Params::default())?;
-    for frame in 0..dataset.frames.len() {
-        let loaded = Playback::load(dataset, mode, frame)?;
-        if !take(&playback.follow(frame, &loaded)?) {
-            break;
+impl Recording {
+    fn open(path: &Path) -> Result<Self, Error> {
+        if RigLog::is_log(path) {
+            return RigLog::open(path).map(Self::Log);
+        }
+        Ok(Self::Folder(Box::new(Dataset::open(path)?)))
+    }
+
+    fn rig(&self) -> Rig {
+        match self {
+            Self::Folder(dataset) => dataset.rig(),
+            Self::Log(log) => log.rig.clone(),
         }
     }
-    Ok(())
+
+    /// The one in which most of its sensors take part.
+    fn mode(&self) -> Mode {
+        match self {
+            Self::Folder(dataset) => Mode::of(dataset),
+            Self::Log(log) => Mode::of_rig(&log.rig),
+        }
+    }
+
+    /// Frames, where that is known before they are followed.
+    fn frames(&self) -> Option<usize> {
+        match self {
+            Self::Folder(dataset) => Some(dataset.frames.len()),
+            Self::Log(_) => None,
+        }
+    }
+
+    /// Follows the whole recording, as far as `take` lets it.
+    fn follow(&self, mut take: impl FnMut(&Estimate) -> bool) -> Result<(), Error> {
+        let (mode, knobs, params) = (self.mode(), TrackerKnobs::default(), Params::default());
+        match self {
+            Self::Folder(dataset) => {
+                let mut playback = Playback::new(dataset, mode, knobs, params)?;
+                for frame in 0..dataset.frames.len() {
+                    let loaded = Playback::load(dataset, mode, frame)?;
+                    if !take(&playback.follow(frame, &loaded)?) {
+                        break;
+                    }
+                }
+            }
+            Self::Log(log) => {
+                let follower = Follower::new(log.path(), &log.rig, mode, knobs, params, 1)?;
+                log.follow(follower, |follower| {
+                    while let Some(estimate) = follower.follow()? {
+                        if !take(&estimate) {
+                            return Ok(false);
+                        }
+                    }
+                    Ok(true)
+                })?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A head for a rig: between the eyes is where the first camera is, and it looks where that looks (x right, y down, z ahead
+/// become x right, y up, −z ahead).
+fn body_from_head(rig: &Rig) -> Rigid {
+    let camera_from_head = Rigid::rotation(Vector3::x() * std::f64::consts::PI);
+    rig.cameras.first().map_or(camera_from_head, |camera| camera.body_from_camera * camera_from_head)
 }
 
 /// The motion of the simulated headset: as our odometry says, from the user's start; it ends with the recording. The whole
@@ -60,13 +115,15 @@ pub(crate) fn motion(
     is_stopped: &dyn Fn() -> bool,
     say: &mut dyn FnMut(&str),
 ) -> Result<Motion, Error> {
-    let dataset = Dataset::open(folder)?;
-    let count = dataset.frames.len();
+    let recording = Recording::open(folder)?;
     let name = folder.display();
-    say(&format!("following the {count} frames of {name} ({}) before the session", Mode::of(&dataset)));
-    let mut samples = Vec::with_capacity(count);
-    let mut held = 0usize;
-    follow(&dataset, |estimate| {
+    let frames = recording.frames().map_or("frames".to_owned(), |count| format!("{count} frames"));
+    say(&format!("following the {frames} of {name} ({}) before the session", recording.mode()));
+    let mut samples = Vec::with_capacity(recording.frames().unwrap_or(0));
+    let (mut held, mut count, mut begins_ends) = (0usize, 0usize, None);
+    recording.follow(|estimate| {
+        count += 1;
+        begins_ends = Some((begins_ends.map_or(estimate.time, |(begins, _)| begins), estimate.time));
         match estimate.state {
             State::Waiting | State::Lost => held += 1,
             _ => samples.push(Sample { at: estimate.time, world_from_body: estimate.world_from_body }),
@@ -78,23 +135,23 @@ pub(crate) fn motion(
     }
     let nothing = || Error::Call(format!("{name}: expected frames that can be followed, found none"));
     let begins = samples.first().ok_or_else(nothing)?.at;
-    let bridged = period(&dataset).and_then(|period| Span::from_secs_f64(period * PERIODS_BRIDGED));
+    let period = begins_ends.and_then(|(begins, ends)| period(begins, ends, count));
+    let bridged = period.and_then(|period| Span::from_secs_f64(period * PERIODS_BRIDGED));
     let step = bridged.unwrap_or(Span::from_millis(175));
     let trajectory = Trajectory::new(samples, begins, AtEnd::Stop, Gaps::Hold, step).ok_or_else(nothing)?;
-    Ok(Motion::from_start(trajectory, body_from_head(&dataset), EYE_HEIGHT_M))
+    Ok(Motion::from_start(trajectory, body_from_head(&recording.rig()), EYE_HEIGHT_M))
 }
 
 /// From one frame to the next on the average, seconds.
-fn period(dataset: &Dataset) -> Option<f64> {
-    let (first, last) = (dataset.frames.first()?.at, dataset.frames.last()?.at);
-    let steps = dataset.frames.len().checked_sub(1).filter(|steps| *steps > 0)?;
+fn period(first: Timestamp, last: Timestamp, frames: usize) -> Option<f64> {
+    let steps = frames.checked_sub(1).filter(|steps| *steps > 0)?;
     Some(last.since(first)?.as_secs_f64() / steps as f64)
 }
 
 /// Odometry beside a real headset. It runs on a thread of its own, ahead of the session; each pose is taken when its time has
 /// come, and carried on to the display time as that of a live rig would have to be.
 pub(crate) struct Beside {
-    poses: Receiver<Result<(Span, Rigid), vergence_slam::Error>>,
+    poses: Receiver<Result<(Span, Rigid), Error>>,
     thread: Option<JoinHandle<()>>,
     /// Taken and not due yet.
     next: Option<(Span, Rigid)>,
@@ -105,7 +162,7 @@ pub(crate) struct Beside {
     /// How far into the recording the latest frame was.
     reached: Span,
     comparison: Comparison,
-    failure: Option<vergence_slam::Error>,
+    failure: Option<Error>,
     dataset: PathBuf,
     mode: Mode,
 }
@@ -113,13 +170,13 @@ pub(crate) struct Beside {
 impl Beside {
     /// Opens the recording and begins to follow it.
     pub(crate) fn start(folder: &Path) -> Result<Self, Error> {
-        let dataset = Dataset::open(folder)?;
-        let mode = Mode::of(&dataset);
+        let recording = Recording::open(folder)?;
+        let mode = recording.mode();
         let (give, poses) = sync_channel(AHEAD);
         let work = move || {
-            let body_from_head = body_from_head(&dataset);
+            let body_from_head = body_from_head(&recording.rig());
             let mut first = None;
-            let followed = follow(&dataset, |estimate| {
+            let followed = recording.follow(|estimate| {
                 let begins = *first.get_or_insert(estimate.time);
                 let is_known = !matches!(estimate.state, State::Waiting | State::Lost);
                 let pose = estimate.time.since(begins).filter(|_| is_known);
@@ -137,7 +194,7 @@ impl Beside {
     }
 
     fn of(
-        poses: Receiver<Result<(Span, Rigid), vergence_slam::Error>>,
+        poses: Receiver<Result<(Span, Rigid), Error>>,
         thread: Option<JoinHandle<()>>,
         folder: &Path,
         mode: Mode,

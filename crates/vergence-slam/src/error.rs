@@ -59,6 +59,14 @@ pub enum Error {
         /// What was asked for.
         found: f64,
     },
+    /// A calibration whose cameras sit otherwise than pictures and readings show.
+    #[error("{}: expected cameras that sit as T_BS says, found rotated extrinsics: {misfit}", name.display())]
+    Mounting {
+        /// Of the recording.
+        name: PathBuf,
+        /// Which camera.
+        misfit: crate::Misfit,
+    },
     /// Two trajectories that cannot be compared.
     #[error("expected {expected}, found {found}")]
     Unmatched {

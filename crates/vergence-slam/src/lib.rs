@@ -5,7 +5,9 @@ mod bootstrap;
 pub mod dataset;
 mod error;
 pub mod evaluate;
+pub mod follower;
 mod link;
+mod mounting;
 mod odometry;
 mod one_camera;
 mod params;
@@ -18,6 +20,7 @@ mod window;
 
 pub use error::Error;
 pub use link::Motion;
+pub use mounting::Misfit;
 pub use odometry::{Estimate, Odometry, State};
 pub use params::{Inertial, Params};
 pub use sighting::Sighting;

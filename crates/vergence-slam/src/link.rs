@@ -61,6 +61,8 @@ pub(crate) struct Held {
     pub(crate) span: Span,
     /// Made of a reading at the end of the gyroscope's range: the truth may be far beyond it.
     pub(crate) saturated: bool,
+    /// Made of readings that are far apart.
+    pub(crate) missing: bool,
 }
 
 /// Readings between two frames, summed up.
@@ -81,6 +83,28 @@ pub(crate) struct Link {
 const FAR: (f64, f64) = (0.01, 0.1);
 /// White noise of a saturated gyroscope, rad/s/√Hz: an error of 4 rad/s held for 50 ms.
 const SATURATED: f64 = 1.0;
+/// White noise where readings are missing, rad/s/√Hz and m/s²/√Hz: an unknown motion of a hand.
+const MISSING: NoiseDensities = NoiseDensities { gyr_rad_s_rthz: 1.0, acc_m_s2_rthz: 3.0 };
+
+/// Readings that say how much they shake.
+const SHAKEN: usize = 4;
+
+/// White noise as strong as what changes from one reading to the next beside a steady course: readings are means of two neighbours, whose
+/// second difference varies as much as one reading does. Zeros where there are too few.
+fn shaking(readings: &[Held]) -> NoiseDensities {
+    let (mut gyr, mut acc, mut count) = (0.0, 0.0, 0.0);
+    for three in readings.windows(3) {
+        gyr += (three[0].gyr_rad_s - three[1].gyr_rad_s * 2.0 + three[2].gyr_rad_s).norm_squared();
+        acc += (three[0].acc_m_s2 - three[1].acc_m_s2 * 2.0 + three[2].acc_m_s2).norm_squared();
+        count += 3.0;
+    }
+    if readings.len() < SHAKEN {
+        return NoiseDensities { gyr_rad_s_rthz: 0.0, acc_m_s2_rthz: 0.0 };
+    }
+    let seconds: f64 = readings.iter().map(|r| r.span.as_secs_f64()).sum();
+    let root = (seconds / readings.len() as f64 / count).sqrt();
+    NoiseDensities { gyr_rad_s_rthz: gyr.sqrt() * root, acc_m_s2_rthz: acc.sqrt() * root }
+}
 
 impl Link {
     /// `None` where no reading could be used.
@@ -88,8 +112,14 @@ impl Link {
         let mut noise = inertial.noise;
         noise.gyr_rad_s_rthz *= params.noise_factor;
         noise.acc_m_s2_rthz *= params.noise_factor;
+        let shaking = shaking(&readings);
+        noise.gyr_rad_s_rthz = noise.gyr_rad_s_rthz.max(shaking.gyr_rad_s_rthz);
+        noise.acc_m_s2_rthz = noise.acc_m_s2_rthz.max(shaking.acc_m_s2_rthz);
         if readings.iter().any(|r| r.saturated) {
             noise.gyr_rad_s_rthz = SATURATED;
+        }
+        if readings.iter().any(|r| r.missing) {
+            noise = MISSING;
         }
         let mut link = Self {
             readings,
@@ -108,6 +138,7 @@ impl Link {
     pub(crate) fn joined(&self, next: &Self) -> Option<Self> {
         let mut link = Self { readings: [&self.readings[..], &next.readings].concat(), ..next.clone() };
         link.noise.gyr_rad_s_rthz = self.noise.gyr_rad_s_rthz.max(next.noise.gyr_rad_s_rthz);
+        link.noise.acc_m_s2_rthz = self.noise.acc_m_s2_rthz.max(next.noise.acc_m_s2_rthz);
         link.integrate(next.at).then_some(link)
     }
 
@@ -278,10 +309,37 @@ mod tests {
                 acc_m_s2: Vector3::new(v[3], 9.0 + v[4], v[5] - 0.2 * f64::from(k)),
                 span: Span::from_millis(5),
                 saturated: false,
+                missing: false,
             })
             .collect();
         let params = Params::default();
         Link::new(readings, Biases::default(), &params, &Inertial::EUROC).unwrap()
+    }
+
+    /// A unit whose readings shake by so much, m/s² and rad/s, from one to the next.
+    fn shaken(by: f64) -> Vec<Held> {
+        let held = |k: i32| Held {
+            gyr_rad_s: Vector3::new(0.1, 0.01 * f64::from(k), by * f64::from(1 - k % 2 * 2)),
+            acc_m_s2: Vector3::new(by * f64::from(1 - k % 2 * 2), 9.8, 0.05 * f64::from(k)),
+            span: Span::from_millis(5),
+            saturated: false,
+            missing: false,
+        };
+        (0..10).map(held).collect()
+    }
+
+    #[test]
+    fn readings_that_shake_weigh_less_and_missing_ones_hardly_anything() {
+        let weight = |readings: Vec<Held>| {
+            Link::new(readings, Biases::default(), &Params::default(), &Inertial::EUROC).unwrap().root.norm()
+        };
+        let calm = weight(shaken(0.0));
+        // A steady change is no vibration, and neither is the noise of the sheet.
+        assert!((weight(shaken(0.001)) / calm - 1.0).abs() < 1e-9);
+        assert!(weight(shaken(2.0)) < 0.2 * calm);
+        let mut gap = shaken(0.0);
+        gap[4].missing = true;
+        assert!(weight(gap) < 0.01 * calm);
     }
 
     proptest! {

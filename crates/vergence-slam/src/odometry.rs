@@ -78,6 +78,8 @@ pub struct Estimate {
 pub struct Odometry {
     pub(crate) window: Window,
     readings: VecDeque<(Timestamp, Imu)>,
+    /// The shortest from one reading to the next, ns; 0 before there are two.
+    period_ns: i64,
     pub(crate) known: HashMap<u64, usize>,
     refused: HashMap<u64, u64>,
     just_refused: Vec<u64>,
@@ -88,7 +90,8 @@ pub struct Odometry {
     /// One camera and an inertial unit: there is a guess of velocity and gravity.
     pub(crate) flying: bool,
     since_keyframe: usize,
-    unseen: usize,
+    /// The last frame that saw enough, where the latest did not.
+    unseen_since: Option<Timestamp>,
     adrift: usize,
     last: Option<Estimate>,
     biases: Biases,
@@ -96,8 +99,10 @@ pub struct Odometry {
 
 /// Fewer points than this hold no pose.
 const FEWEST: usize = 6;
-/// Frames carried by the inertial unit alone until it is lost.
-const MOST_UNSEEN: usize = 40;
+/// Time for which the inertial unit alone carries it until it is lost, s.
+const LONGEST_UNSEEN_S: f64 = 2.0;
+/// Readings farther apart than this, and than so many of the shortest periods, say nothing of what was between them: ns, periods.
+const LONGEST_GAP: (i64, i64) = (25_000_000, 4);
 /// Gravity is known when its direction is known this well, rad.
 const GRAVITY_RAD: f64 = 0.03;
 
@@ -114,6 +119,7 @@ impl Odometry {
         Self {
             window,
             readings: VecDeque::new(),
+            period_ns: 0,
             known: HashMap::new(),
             refused: HashMap::new(),
             just_refused: Vec::new(),
@@ -123,7 +129,7 @@ impl Odometry {
             settled: false,
             flying: false,
             since_keyframe: 0,
-            unseen: 0,
+            unseen_since: None,
             adrift: 0,
             last: None,
             biases: Biases::default(),
@@ -140,6 +146,10 @@ impl Odometry {
         let finite = imu.gyr_rad_s.iter().chain(imu.acc_m_s2.iter()).all(|x| x.is_finite());
         let after = self.readings.back().is_none_or(|(last, _)| *last < time);
         if finite && after && self.window.params.inertial.is_some() {
+            if let Some(step) = self.readings.back().and_then(|(last, _)| time.since(*last)) {
+                let step = step.as_nanos();
+                self.period_ns = if self.period_ns == 0 { step } else { step.min(self.period_ns) };
+            }
             self.readings.push_back((time, *imu));
             // Without frames, the last ten seconds are enough.
             let old = |first: &(Timestamp, Imu)| time.since(first.0).is_some_and(|s| s.as_secs_f64() > 10.0);
@@ -148,6 +158,14 @@ impl Odometry {
             }
         }
         finite && after
+    }
+
+    /// Whether the readings since the latest frame, up to `time`, say that nothing moves; `None` without readings.
+    pub(crate) fn is_quiet(&self, time: Timestamp) -> Option<bool> {
+        let last = self.window.frames.last()?;
+        let (_, _, link) = self.predicted(last, time);
+        let quiet = |link: Link| link.is_quiet(&last.motion_now().biases, self.window.params.gravity_m_s2);
+        link.map(quiet)
     }
 
     /// Where the body will be at `time` by the readings so far: for the tracker, and for poses between frames.
@@ -194,12 +212,7 @@ impl Odometry {
                 let (pose, motion) = link.follow(&last.pose, &motion);
                 (pose, Some(motion), Some(link))
             }
-            None => {
-                let seconds = time.since(last.time).map_or(0.0, Span::as_secs_f64);
-                let mut pose = last.pose;
-                pose.translation.vector += motion.velocity_m_s * seconds.min(1.0);
-                (pose, Some(motion), None)
-            }
+            None => (self.glide(last, time), Some(motion), None),
         }
     }
 
@@ -221,6 +234,8 @@ impl Odometry {
         let nanos = |t: Timestamp| t.as_nanos();
         let range = self.window.params.inertial.map_or(f64::INFINITY, |i| 0.99 * i.gyr_range_rad_s);
         let beyond = |r: &(Timestamp, Imu)| r.1.gyr_rad_s.amax() >= range;
+        // What lies between two readings that are so far apart nobody knows.
+        let longest = LONGEST_GAP.0.max(self.period_ns.saturating_mul(LONGEST_GAP.1));
         let at = |a: &(Timestamp, Imu), b: &(Timestamp, Imu), t: i64| {
             let share = (t - nanos(a.0)) as f64 / (nanos(b.0) - nanos(a.0)) as f64;
             (a.1.gyr_rad_s.lerp(&b.1.gyr_rad_s, share), a.1.acc_m_s2.lerp(&b.1.acc_m_s2, share))
@@ -245,6 +260,7 @@ impl Odometry {
                     acc_m_s2: a.1.acc_m_s2,
                     span: Span::from_nanos(begin - end),
                     saturated: beyond(a),
+                    missing: begin - end > longest,
                 });
             }
             let ((ga, aa), (gb, ab)) = (at(a, b, begin), at(a, b, stop));
@@ -253,6 +269,7 @@ impl Odometry {
                 acc_m_s2: (aa + ab) * 0.5,
                 span: Span::from_nanos(stop - begin),
                 saturated: beyond(a) || beyond(b),
+                missing: nanos(b.0) - nanos(a.0) > longest,
             });
             end = stop;
         }
@@ -264,6 +281,7 @@ impl Odometry {
                     acc_m_s2: last.1.acc_m_s2,
                     span: Span::from_nanos(late),
                     saturated: beyond(last),
+                    missing: late > longest,
                 });
             }
         }
@@ -333,7 +351,7 @@ impl Odometry {
                 let (pose, motion, link) = self.predicted(last, time);
                 let mut frame = Frame::new(self.next_id, time, pose, motion);
                 frame.link = link;
-                if self.window.params.inertial.is_none() {
+                if frame.link.is_none() {
                     frame.guess = Some(pose);
                 }
                 frame
@@ -361,6 +379,11 @@ impl Odometry {
                 tracks += 1;
                 known += usize::from(point.is_some());
             }
+        }
+        // What saw something last must not leave the window before something is seen again: it holds everything that comes.
+        let goes_blind = known < FEWEST && self.unseen_since.is_none() && self.settled;
+        if let Some(last) = self.window.frames.last_mut().filter(|_| goes_blind) {
+            last.keyframe = true;
         }
         self.window.frames.push(frame);
         self.window.number();
@@ -596,7 +619,11 @@ impl Odometry {
     fn judge(&mut self, known: usize, position_sigma_m: f64, velocity_sigma_m_s: f64) -> State {
         let params = self.window.params;
         let count = self.window.frames.len();
-        self.unseen = if known >= FEWEST { 0 } else { self.unseen + 1 };
+        let now = self.window.frames.last().map_or(Timestamp::default(), |frame| frame.time);
+        self.unseen_since =
+            (known < FEWEST).then(|| self.unseen_since.or(self.last.map(|l| l.time)).unwrap_or(now));
+        let unseen_s =
+            self.unseen_since.map(|since| now.since(since).map_or(f64::INFINITY, Span::as_secs_f64));
         if self.window.points.is_empty() && !self.settled {
             return State::FindingDepth;
         }
@@ -618,12 +645,12 @@ impl Odometry {
                 return State::FindingGravity;
             }
         }
-        match self.unseen {
+        match unseen_s {
             _ if self.adrift >= ADRIFT => State::Lost,
-            0 if velocity_sigma_m_s > UNKNOWN_M_S => State::FindingDepth,
-            0 => State::Tracked,
-            n if params.inertial.is_some() && n < MOST_UNSEEN => State::Coasting,
-            _ => State::Lost,
+            None if velocity_sigma_m_s > UNKNOWN_M_S => State::FindingDepth,
+            None => State::Tracked,
+            Some(seconds) if params.inertial.is_some() && seconds < LONGEST_UNSEEN_S => State::Coasting,
+            Some(_) => State::Lost,
         }
     }
 

@@ -24,7 +24,8 @@ impl Inertial {
         noise: NoiseDensities { gyr_rad_s_rthz: 1.6968e-4, acc_m_s2_rthz: 2e-3 },
         gyr_walk: 1.9393e-5,
         acc_walk: 3e-3,
-        gyr_range_rad_s: 34.0,
+        // ±1000 degrees/s.
+        gyr_range_rad_s: 17.45,
     };
 }
 
@@ -99,11 +100,24 @@ impl Params {
         check(within(self.huber, 0.5, 100.0), "huber", "0.5 to 100", self.huber)?;
         check(within(self.outlier_px, 0.5, 100.0), "outlier_px", "0.5 to 100", self.outlier_px)?;
         check(within(self.known_share, 0.0, 1.0), "known_share", "0 to 1", self.known_share)?;
+        check(within(self.depth_inverse_m, 1e-5, 1.0), "depth_inverse_m", "1e-5 to 1", self.depth_inverse_m)?;
+        if let Some(unit) = &self.inertial {
+            let noises = [
+                unit.noise.gyr_rad_s_rthz,
+                unit.noise.acc_m_s2_rthz,
+                unit.gyr_walk,
+                unit.acc_walk,
+                unit.gyr_range_rad_s,
+            ];
+            let wrong = noises.into_iter().find(|noise| !(*noise > 0.0 && *noise < 1e6));
+            check(wrong.is_none(), "inertial", "noise and range above 0", wrong.unwrap_or_default())?;
+        }
         let counts = [
             (self.states, 2, 20, "states", "2 to 20"),
             (self.keyframes, 2, 30, "keyframes", "2 to 30"),
             (self.iterations, 1, 50, "iterations", "1 to 50"),
             (self.first_frames, 3, 60, "first_frames", "3 to 60"),
+            (self.keyframe_gap, 1, 100, "keyframe_gap", "1 to 100"),
             (self.points, 10, 5000, "points", "10 to 5000"),
         ];
         for (value, low, high, name, expected) in counts {

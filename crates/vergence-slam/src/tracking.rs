@@ -1,5 +1,7 @@
 //! Pictures and inertial readings in, poses out: the tracker and the estimator joined.
 
+use std::hash::{DefaultHasher, Hasher};
+
 use nalgebra::{UnitQuaternion, Vector2};
 use vergence_geom::Camera;
 use vergence_sense::Imu;
@@ -8,6 +10,7 @@ use vergence_vision::{Gray, Prediction, TrackId, Tracker, TrackerKnobs};
 
 use crate::Error;
 use crate::dataset::Depth;
+use crate::mounting::{Misfit, Mounting};
 use crate::odometry::{Estimate, Odometry};
 use crate::params::Params;
 use crate::sighting::Sighting;
@@ -38,6 +41,10 @@ pub struct Tracking {
     rig: Vec<Camera>,
     tracker: Tracker,
     odometry: Odometry,
+    mounting: Mounting,
+    misfit: Option<Misfit>,
+    /// Of the pictures of the frame before.
+    sum: Option<u64>,
     expected: Vec<(u64, usize, nalgebra::Vector3<f64>)>,
     pixels: Vec<(TrackId, usize, Vector2<f64>)>,
     sightings: Vec<Sighting>,
@@ -55,6 +62,9 @@ impl Tracking {
             rig: rig.to_vec(),
             tracker: Tracker::new(rig, knobs)?,
             odometry: Odometry::new(params, rig.iter().map(|c| c.body_from_camera).collect()),
+            mounting: Mounting::new(rig, params.inertial.is_some()),
+            misfit: None,
+            sum: None,
             expected: Vec::new(),
             pixels: Vec::new(),
             sightings: Vec::new(),
@@ -67,10 +77,29 @@ impl Tracking {
         &self.odometry
     }
 
+    /// A camera that sits otherwise than the rig says: known within the first seconds of motion, if at all.
+    pub fn misfit(&self) -> Option<Misfit> {
+        self.misfit
+    }
+
     /// One inertial reading, in the body's frame; `false`, and it is left out, where it is not finite or not later than
     /// the one before.
     pub fn imu(&mut self, time: Timestamp, imu: &Imu) -> bool {
-        self.odometry.imu(time, imu)
+        let taken = self.odometry.imu(time, imu);
+        if taken {
+            self.mounting.imu(time, imu);
+        }
+        taken
+    }
+
+    /// Whether these are the pictures of the frame before, by every eighth row; remembers them.
+    fn is_same(&mut self, pictures: &[Gray]) -> bool {
+        let mut hasher = DefaultHasher::new();
+        for picture in pictures {
+            (0..picture.height()).step_by(8).for_each(|row| hasher.write(picture.row(row)));
+        }
+        let sum = hasher.finish();
+        self.sum.replace(sum) == Some(sum)
     }
 
     /// One picture of each camera, and the first camera's depth where there is one. Readings up to `time` have been given.
@@ -83,6 +112,11 @@ impl Tracking {
         pictures: &[Gray],
         depth: Option<&Depth>,
     ) -> Result<Estimate, vergence_vision::Error> {
+        // A camera that is stuck shows the same again and again, to the last bit, while the unit feels motion: no pictures.
+        let stuck = self.is_same(pictures) && self.odometry.is_quiet(time) == Some(false);
+        if stuck {
+            return Ok(self.odometry.frame(time, &[]));
+        }
         let mut now_from_before = UnitQuaternion::identity();
         self.pixels.clear();
         if let (Some(predicted), Some(last)) = (self.odometry.predict(time), self.odometry.last_pose()) {
@@ -94,6 +128,7 @@ impl Tracking {
         }
         let prediction = Prediction { now_from_before, pixels: &self.pixels };
         let frame = self.tracker.track(pictures, &prediction)?;
+        self.misfit = self.mounting.frame(time, pictures, frame);
         self.sightings.clear();
         for (index, (camera, list)) in self.rig.iter().zip(&frame.cameras).enumerate() {
             for seen in list {

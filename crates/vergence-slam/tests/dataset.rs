@@ -217,6 +217,48 @@ fn a_broken_recording_has_one_sentence() {
 }
 
 #[test]
+fn readings_of_another_flight_or_in_other_units_are_refused() {
+    let every = |from: &str, to: &str| edit("mav0/imu0/data.csv", from, to);
+    let said = every(",0,0,0.1,0,0,9.81", ",0,0,0.1,0,0,1.0");
+    assert_eq!(
+        said,
+        "mav0/imu0/data.csv: expected accelerations in m/s² (gravity is 9.8), found 1.000 in the middle"
+    );
+    let said = every(",0,0,0.1,", ",0,0,57.3,");
+    assert_eq!(said, "mav0/imu0/data.csv: expected turns in rad/s, found 57.3 in the middle: degrees?");
+    // An hour later.
+    let (day, other) =
+        (format!("\n{}", START / 10_000_000_000), format!("\n{}", START / 10_000_000_000 + 360));
+    let said = every(&day, &other);
+    assert!(
+        said.contains("expected readings at the times of the pictures")
+            && said.contains("found readings from"),
+        "{said}"
+    );
+}
+
+#[test]
+fn clocks_of_cameras_may_differ_by_microseconds() {
+    let folder = tempfile::tempdir().unwrap();
+    whole(folder.path());
+    let path = folder.path().join("mav0/cam1/data.csv");
+    let shifted: String = fs::read_to_string(&path)
+        .unwrap()
+        .lines()
+        .map(|line| match line.split_once(',') {
+            Some((at, name)) if !at.starts_with('#') => {
+                format!("{},{name}\n", at.parse::<i64>().unwrap() + 3000)
+            }
+            _ => format!("{line}\n"),
+        })
+        .collect();
+    fs::write(&path, shifted).unwrap();
+    let dataset = Dataset::open(folder.path()).unwrap();
+    assert_eq!((dataset.frames.len(), dataset.unpaired), (5, 0));
+    assert!(dataset.frames.iter().enumerate().all(|(k, f)| f.at.as_nanos() == START + 50_000_000 * k as i64));
+}
+
+#[test]
 fn a_calibration_that_cannot_be_is_named() {
     let sheet = "mav0/cam1/sensor.yaml";
     for (from, to, expected) in [

@@ -87,7 +87,10 @@ fn drive(case: &Case) -> Run {
     let mut tracks = Tracks::new(case.room.clone(), cameras.clone(), 100, 0.5, 7);
     tracks.blind = case.blind.clone();
     tracks.dropped = case.dropped.clone();
-    let unit = Inertial { gyr_range_rad_s: case.imu.gyr.saturation.min(34.0), ..Inertial::EUROC };
+    let unit = Inertial {
+        gyr_range_rad_s: case.imu.gyr.saturation.min(Inertial::EUROC.gyr_range_rad_s),
+        ..Inertial::EUROC
+    };
     let params = Params { inertial: Some(unit), ..Params::default() };
     let mut odometry = Odometry::new(params, cameras.iter().map(|c| c.body_from_camera).collect());
     tracks.epoch_ns = case.start_ns;

@@ -4,9 +4,12 @@
 
 mod support;
 
+use nalgebra::Vector3;
 use support::{Run, cpu_ms, recording, skip};
-use vergence_slam::dataset::Dataset;
+use vergence_geom::Rigid;
+use vergence_slam::dataset::{Dataset, Picture};
 use vergence_slam::evaluate::{Align, Evaluation, evaluate};
+use vergence_slam::follower::Follower;
 use vergence_slam::playback::{Mode, Playback, z_up};
 use vergence_slam::trajectory::Trajectory;
 use vergence_slam::{Params, State};
@@ -79,4 +82,108 @@ fn a_hand_held_depth_camera() {
     assert!(found.ate_rmse_m < 0.03, "{}", found.ate_rmse_m);
     let (_, found) = follow(&dataset, Mode::Mono, Align::Sim3);
     assert!(found.ate_rmse_m < 0.05, "{}", found.ate_rmse_m);
+}
+
+/// The first seconds of the flight with a calibration whose cameras are turned; what is said of it.
+fn turned(
+    dataset: &Dataset,
+    turns: [Vector3<f64>; 2],
+    frames: usize,
+    mode: Mode,
+) -> Option<vergence_slam::Misfit> {
+    let mut dataset = dataset.clone();
+    for (camera, turn) in dataset.cameras.iter_mut().zip(turns) {
+        camera.body_from_camera *= Rigid::rotation(turn);
+    }
+    let mut playback = Playback::new(&dataset, mode, TrackerKnobs::default(), Params::default()).unwrap();
+    for frame in 0..frames {
+        let loaded = Playback::load(&dataset, mode, frame).unwrap();
+        match playback.follow(frame, &loaded) {
+            Ok(_) => {}
+            Err(vergence_slam::Error::Mounting { misfit, .. }) => {
+                println!("frame {frame}: {misfit}");
+                return Some(misfit);
+            }
+            Err(error) => panic!("{error}"),
+        }
+    }
+    println!("{turns:?}: nothing is said");
+    None
+}
+
+#[test]
+fn cameras_that_sit_otherwise_are_named() {
+    let Some(folder) = recording("half_real_v101_14s") else { return skip("no half-real flight") };
+    let dataset = Dataset::open(&folder).unwrap();
+    let none = Vector3::zeros();
+    for turn in [Vector3::y() * 0.09, Vector3::x() * -0.3, Vector3::z() * std::f64::consts::PI] {
+        let said = turned(&dataset, [none, turn], 40, Mode::Stereo).expect("the second camera is turned");
+        assert_eq!((said.camera, said.beside), (1, Some(0)));
+        assert!((said.turned_rad - turn.norm()).abs() < 0.04, "{said} for {turn}");
+    }
+    // Against the gyroscope it takes turns about two axes.
+    for turn in
+        [Vector3::y() * 0.2, Vector3::z() * std::f64::consts::FRAC_PI_2, Vector3::x() * std::f64::consts::PI]
+    {
+        let said = turned(&dataset, [turn, none], 280, Mode::MonoInertial).expect("the camera is turned");
+        assert_eq!((said.camera, said.beside), (0, None));
+        assert!((said.turned_rad - turn.norm()).abs() < 0.06, "{said} for {turn}");
+    }
+    assert_eq!(turned(&dataset, [none, none], 60, Mode::StereoInertial), None);
+    // A baseline that points the wrong way: the calibrations of two cameras in each other's place.
+    let mut swapped = dataset.clone();
+    swapped.cameras.swap(0, 1);
+    let said = turned(&swapped, [none, none], 40, Mode::Stereo).expect("they are swapped");
+    assert!(said.turned_rad > 1.5, "{said}");
+}
+
+/// The beginning of the flight, with other pictures in a part of it; errors after alignment up to each of `until` frames, and the states.
+fn disturbed(
+    dataset: &Dataset,
+    frames: usize,
+    part: std::ops::Range<usize>,
+    picture: impl Fn(usize, usize) -> Picture,
+    until: &[usize],
+) -> (Vec<f64>, Vec<State>) {
+    let (knobs, params) = (TrackerKnobs::default(), Params::default());
+    let mode = Mode::StereoInertial;
+    let mut follower = Follower::new(&dataset.root, &dataset.rig(), mode, knobs, params, 1).unwrap();
+    for (at, imu) in &dataset.inertial.as_ref().unwrap().samples {
+        follower.imu(*at, imu);
+    }
+    let mut estimates = Vec::new();
+    for frame in 0..frames {
+        for camera in 0..2 {
+            let taken = if part.contains(&frame) {
+                picture(frame, camera)
+            } else {
+                dataset.picture(frame, camera).unwrap()
+            };
+            follower.picture(camera, dataset.frames[frame].at, taken);
+        }
+        estimates.push(follower.follow().unwrap().unwrap());
+    }
+    let errors = until.iter().map(|until| {
+        let poses = estimates[..*until].iter().map(|e| (e.time, z_up(&e.world_from_body))).collect();
+        let found = evaluate(&Trajectory { poses }, dataset.truth.as_ref().unwrap(), Align::Se3).unwrap();
+        found.ate_max_m
+    });
+    (errors.collect(), estimates.iter().map(|e| e.state).collect())
+}
+
+#[test]
+fn pictures_that_freeze_or_go_black_are_bridged() {
+    let Some(folder) = recording("half_real_v101_14s") else { return skip("no half-real flight") };
+    let dataset = Dataset::open(&folder).unwrap();
+    let (errors, states) =
+        disturbed(&dataset, 80, 40..52, |_, camera| dataset.picture(39, camera).unwrap(), &[40, 52, 80]);
+    println!("frozen: {errors:?} m, {:?}", &states[38..55]);
+    assert!(states[40..52].iter().all(|state| *state == State::Coasting), "{:?}", &states[40..52]);
+    assert!(errors[2] < 0.06, "{errors:?}");
+    let black = |_, _| Picture { width: 752, height: 480, pixels: vec![0; 752 * 480] };
+    let (errors, states) = disturbed(&dataset, 80, 40..52, black, &[40, 46, 52, 80]);
+    println!("black: {errors:?} m, {:?}", &states[38..55]);
+    assert!(states[41..52].iter().all(|state| *state == State::Coasting), "{:?}", &states[40..52]);
+    // No jump when the last frame that saw something grows old.
+    assert!(errors[1] < 0.015 && errors[3] < 0.06, "{errors:?}");
 }

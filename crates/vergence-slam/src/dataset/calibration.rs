@@ -20,9 +20,13 @@ const ORTHONORMAL: f64 = 1e-3;
 
 impl<'a> Sheet<'a> {
     pub fn read(path: &'a Path) -> Result<Self, Error> {
+        Self::parse(path, &read_text(path)?)
+    }
+
+    /// `text` of what errors call `path`.
+    pub fn parse(path: &'a Path, text: &str) -> Result<Self, Error> {
         /// More is no calibration, and YAML's aliases can make much of little.
         const MOST: usize = 1 << 20;
-        let text = read_text(path)?;
         if text.len() > MOST || text.contains("*") && text.contains("&") {
             return Err(Error::file(
                 path,

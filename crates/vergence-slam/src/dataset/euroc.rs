@@ -7,24 +7,33 @@ use vergence_inertial::preintegrate::NoiseDensities;
 use vergence_time::Timestamp;
 
 use super::calibration::Sheet;
-use super::{Dataset, FrameFiles, InertialRecording, Rig, check_there};
+use super::{Dataset, FrameFiles, InertialRecording, Rig, TOGETHER_NS, check_there};
 use crate::trajectory::{Trajectory, read_text};
 use crate::{Error, Inertial};
 
 pub(super) fn rig(rig: &Path) -> Result<Rig, Error> {
+    rig_of(rig, &|name| {
+        let path = rig.join(name);
+        // The first camera's is missed by its name.
+        (path.is_file() || name == "cam0/sensor.yaml").then(|| read_text(&path)).transpose()
+    })
+}
+
+/// The rig of the sheets that `sheet` has, by the name that they have in a folder.
+pub(super) fn rig_of(
+    place: &Path,
+    sheet: &dyn Fn(&str) -> Result<Option<String>, Error>,
+) -> Result<Rig, Error> {
     let mut cameras = Vec::new();
-    for index in 0.. {
-        let path = rig.join(format!("cam{index}")).join("sensor.yaml");
-        if index > 0 && !path.is_file() {
-            break;
-        }
-        cameras.push(Sheet::read(&path)?.camera()?);
+    for index in 0..MOST_CAMERAS {
+        let name = format!("cam{index}/sensor.yaml");
+        let Some(text) = sheet(&name)? else { break };
+        cameras.push(Sheet::parse(&place.join(name), &text)?.camera()?);
     }
-    let path = rig.join("imu0").join("sensor.yaml");
-    if !path.is_file() {
-        return Ok(Rig { cameras, inertial: None });
-    }
-    let sheet = Sheet::read(&path)?;
+    let name = "imu0/sensor.yaml";
+    let Some(text) = sheet(name)? else { return Ok(Rig { cameras, inertial: None }) };
+    let path = place.join(name);
+    let sheet = Sheet::parse(&path, &text)?;
     let body_from_imu = sheet.body_from_sensor()?;
     for camera in &mut cameras {
         camera.body_from_camera = body_from_imu.inverse() * camera.body_from_camera;
@@ -44,6 +53,9 @@ fn unit(sheet: &Sheet) -> Result<Inertial, Error> {
         ..Inertial::EUROC
     })
 }
+
+/// More cameras than any rig has.
+const MOST_CAMERAS: usize = 64;
 
 pub(super) fn open(folder: &Path, rig: &Path) -> Result<Dataset, Error> {
     let mut cameras = Vec::new();
@@ -84,7 +96,49 @@ pub(super) fn open(folder: &Path, rig: &Path) -> Result<Dataset, Error> {
             format!("{} and none in common", times.join(", ")),
         ));
     }
+    if let Some(inertial) = &inertial {
+        check_readings(&place.join("data.csv"), inertial, &frames)?;
+    }
     Ok(Dataset { root: folder.to_owned(), cameras, inertial, frames, truth, unpaired })
+}
+
+/// That readings are of the same flight as the frames, and in SI units: what accelerometers feel is gravity above all.
+fn check_readings(table: &Path, unit: &InertialRecording, frames: &[FrameFiles]) -> Result<(), Error> {
+    /// Middle of what is felt, m/s²: half of gravity for long is a fall, twice of it a centrifuge. Fastest turn in the middle, rad/s.
+    const FELT: std::ops::Range<f64> = 5.0..20.0;
+    const FASTEST: f64 = 20.0;
+    let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return Ok(()) };
+    let seconds = |at: Timestamp| at.as_nanos() as f64 * 1e-9;
+    let samples = &unit.samples;
+    let (Some(begin), Some(end)) = (samples.first(), samples.last()) else { return Ok(()) };
+    let within = |at: Timestamp| (begin.0..=end.0).contains(&at);
+    let covered = frames.iter().filter(|frame| within(frame.at)).count();
+    if covered * 2 < frames.len() {
+        return Err(Error::file(
+            table,
+            format!(
+                "readings at the times of the pictures ({:.3} to {:.3} s)",
+                seconds(first.at),
+                seconds(last.at)
+            ),
+            format!("readings from {:.3} to {:.3} s", seconds(begin.0), seconds(end.0)),
+        ));
+    }
+    let middle = |size: fn(&vergence_sense::Imu) -> f64| {
+        let flown = samples.iter().filter(|sample| (first.at..=last.at).contains(&sample.0));
+        let mut sizes: Vec<f64> =
+            flown.map(|sample| size(&sample.1)).filter(|size| size.is_finite()).collect();
+        let middle = sizes.len() / 2;
+        (!sizes.is_empty()).then(|| *sizes.select_nth_unstable_by(middle, f64::total_cmp).1)
+    };
+    if let Some(felt) = middle(|imu| imu.acc_m_s2.norm()).filter(|felt| !FELT.contains(felt)) {
+        let expected = "accelerations in m/s² (gravity is 9.8)";
+        return Err(Error::file(table, expected, format!("{felt:.3} in the middle")));
+    }
+    if let Some(turn) = middle(|imu| imu.gyr_rad_s.norm()).filter(|turn| *turn > FASTEST) {
+        return Err(Error::file(table, "turns in rad/s", format!("{turn:.1} in the middle: degrees?")));
+    }
+    Ok(())
 }
 
 /// `data.csv` of a camera: when, and which file.
@@ -130,14 +184,16 @@ fn pictures(place: &Path) -> Result<Vec<(Timestamp, PathBuf)>, Error> {
     Ok(all)
 }
 
-/// Frames at the times that all cameras have, and how many pictures stay alone.
+/// Frames at the first camera's times for which all cameras have a picture, and how many pictures stay alone.
 fn pair(tables: &[Vec<(Timestamp, PathBuf)>]) -> (Vec<FrameFiles>, usize) {
     let Some((first, others)) = tables.split_first() else { return (Vec::new(), 0) };
     let mut frames = Vec::with_capacity(first.len());
     for (at, picture) in first {
         let partner = |table: &Vec<(Timestamp, PathBuf)>| {
-            let found = table.binary_search_by(|row| row.0.cmp(at)).ok()?;
-            Some(table[found].1.clone())
+            let after = table.partition_point(|row| row.0 < *at);
+            let apart = |row: &(Timestamp, PathBuf)| row.0.as_nanos().abs_diff(at.as_nanos());
+            let near = table[after.saturating_sub(1)..].iter().take(2).min_by_key(|row| apart(row))?;
+            (apart(near) <= TOGETHER_NS).then(|| near.1.clone())
         };
         if let Some(rest) = others.iter().map(partner).collect::<Option<Vec<_>>>() {
             let pictures = std::iter::once(picture.clone()).chain(rest).collect();

@@ -7,18 +7,24 @@
 mod calibration;
 mod euroc;
 mod seven_scenes;
+mod stream;
 mod writer;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use vergence_geom::Camera;
-use vergence_sense::Imu;
+use vergence_sense::{Image, Imu};
 use vergence_time::{Span, Timestamp};
 
 use crate::Error;
 use crate::trajectory::Trajectory;
 
+pub use stream::DatasetSource;
 pub use writer::Writer;
+
+/// Pictures that are not farther apart than this are of one instant, ns: clocks of hardware that is triggered differ by microseconds.
+pub(crate) const TOGETHER_NS: u64 = 1_000_000;
 
 /// A recording: what its sensors are, and where each frame's pictures lie.
 #[derive(Clone, Debug)]
@@ -81,7 +87,72 @@ pub struct Depth {
     pub metres: Vec<f32>,
 }
 
+impl Rig {
+    /// The rig of calibrations as EuRoC writes them, by the name that they have in a folder: `cam0/sensor.yaml` and so on, and
+    /// `imu0/sensor.yaml` where there is an inertial unit. Errors begin with `place`.
+    ///
+    /// # Errors
+    /// No camera, or a calibration that cannot be.
+    pub fn from_sheets(place: &Path, sheets: &BTreeMap<String, String>) -> Result<Self, Error> {
+        let rig = euroc::rig_of(place, &|name| Ok(sheets.get(name).cloned()))?;
+        if rig.cameras.is_empty() {
+            return Err(Error::file(place, "a calibration cam0/sensor.yaml", "none"));
+        }
+        Ok(rig)
+    }
+}
+
+impl Picture {
+    /// What a camera gave, in grey: `mono8`, `rgb8`, `bgr8`, `rgba8`, or compressed (`png`, `jpeg`). Errors begin with `from`.
+    ///
+    /// # Errors
+    /// Another encoding; fewer bytes than the size says; what cannot be decoded.
+    pub fn of(image: &Image<'_>, from: &Path) -> Result<Self, Error> {
+        let channels: &[u32] = match &*image.encoding {
+            "mono8" => &[1],
+            // Rec. 601 in 256ths, as luma of pictures that are decoded nearly is.
+            "rgb8" => &[77, 150, 29],
+            "bgr8" => &[29, 150, 77],
+            "rgba8" => &[77, 150, 29, 0],
+            "png" | "jpeg" | "jpg" => {
+                let gray = decode_bytes(from, &image.data)?.into_luma8();
+                let (width, height) = (gray.width() as usize, gray.height() as usize);
+                return Ok(Self { width, height, pixels: gray.into_raw() });
+            }
+            other => {
+                let expected = "a picture in mono8, rgb8, bgr8, rgba8, png or jpeg";
+                return Err(Error::file(from, expected, other.chars().take(60).collect::<String>()));
+            }
+        };
+        let (width, height, step) = (image.width as usize, image.height as usize, image.step as usize);
+        let row = width.saturating_mul(channels.len());
+        let needed = step.checked_mul(height.saturating_sub(1)).and_then(|all| all.checked_add(row));
+        if width == 0 || height == 0 || step < row || needed.is_none_or(|needed| image.data.len() < needed) {
+            let found = format!("{} bytes for {width}x{height} in steps of {step}", image.data.len());
+            return Err(Error::file(from, "rows of pixels", found));
+        }
+        let mut pixels = Vec::with_capacity(width * height);
+        for line in image.data.chunks(step).take(height) {
+            if channels.len() == 1 {
+                pixels.extend_from_slice(&line[..row]);
+            } else {
+                pixels.extend(line[..row].chunks_exact(channels.len()).map(|pixel| {
+                    let sum: u32 = pixel.iter().zip(channels).map(|(value, by)| u32::from(*value) * by).sum();
+                    (sum >> 8) as u8
+                }));
+            }
+        }
+        Ok(Self { width, height, pixels })
+    }
+}
+
 impl Dataset {
+    /// Cameras and inertial unit.
+    pub fn rig(&self) -> Rig {
+        let inertial = self.inertial.as_ref().map(|recording| (recording.unit, recording.rate_hz));
+        Rig { cameras: self.cameras.clone(), inertial }
+    }
+
     /// Opens a folder: EuRoC's (it has `mav0`, or is it), or 7-Scenes' (it has `frame-000000.color.jpg` or `.png`).
     ///
     /// # Errors
@@ -181,9 +252,12 @@ pub fn rig(folder: &Path) -> Result<Rig, Error> {
 }
 
 fn decode(path: &Path) -> Result<image::DynamicImage, Error> {
+    decode_bytes(path, &std::fs::read(path).map_err(Error::read(path))?)
+}
+
+fn decode_bytes(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage, Error> {
     let wrong = |error: image::ImageError| Error::file(path, "a PNG or JPEG picture", error.to_string());
-    let bytes = std::fs::read(path).map_err(Error::read(path))?;
-    let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes.as_slice()))
+    let mut reader = image::ImageReader::new(std::io::Cursor::new(bytes))
         .with_guessed_format()
         .map_err(Error::read(path))?;
     let mut limits = image::Limits::default();

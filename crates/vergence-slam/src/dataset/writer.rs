@@ -28,24 +28,13 @@ impl Writer {
     /// # Errors
     /// What cannot be written.
     pub fn create(root: &Path, rig: &Rig, frames_hz: f64) -> Result<Self, Error> {
-        for (n, camera) in rig.cameras.iter().enumerate() {
-            let place = root.join(format!("mav0/cam{n}"));
-            make(&place.join("data"))?;
-            write(&place.join("sensor.yaml"), calibration(camera, frames_hz).as_bytes())?;
+        for n in 0..rig.cameras.len() {
+            make(&root.join(format!("mav0/cam{n}/data")))?;
         }
-        if let Some((unit, rate_hz)) = &rig.inertial {
-            let place = root.join("mav0/imu0");
-            make(&place)?;
-            let text = format!(
-                "sensor_type: imu\n{}rate_hz: {rate_hz}\ngyroscope_noise_density: {:?}\ngyroscope_random_walk: {:?}\n\
-                 accelerometer_noise_density: {:?}\naccelerometer_random_walk: {:?}\n",
-                extrinsics(&Rigid::identity()),
-                unit.noise.gyr_rad_s_rthz,
-                unit.gyr_walk,
-                unit.noise.acc_m_s2_rthz,
-                unit.acc_walk,
-            );
-            write(&place.join("sensor.yaml"), text.as_bytes())?;
+        for (name, text) in rig.sheets(frames_hz) {
+            let path = root.join("mav0").join(name);
+            path.parent().map_or(Ok(()), make)?;
+            write(&path, text.as_bytes())?;
         }
         Ok(Self {
             root: root.to_owned(),
@@ -101,6 +90,27 @@ impl Writer {
         let path = self.root.join("truth.tum");
         truth.write_tum(&mut text).map_err(Error::read(&path))?;
         write(&path, &text)
+    }
+}
+
+impl Rig {
+    /// The calibrations as EuRoC writes them, by the name that they have in a folder (`cam0/sensor.yaml`, `imu0/sensor.yaml`); cameras take
+    /// `frames_hz` frames per second.
+    pub fn sheets(&self, frames_hz: f64) -> Vec<(String, String)> {
+        let camera = |(n, camera)| (format!("cam{n}/sensor.yaml"), calibration(camera, frames_hz));
+        let unit = self.inertial.as_ref().map(|(unit, rate_hz)| {
+            let text = format!(
+                "sensor_type: imu\n{}rate_hz: {rate_hz}\ngyroscope_noise_density: {:?}\ngyroscope_random_walk: {:?}\n\
+                 accelerometer_noise_density: {:?}\naccelerometer_random_walk: {:?}\n",
+                extrinsics(&Rigid::identity()),
+                unit.noise.gyr_rad_s_rthz,
+                unit.gyr_walk,
+                unit.noise.acc_m_s2_rthz,
+                unit.acc_walk,
+            );
+            ("imu0/sensor.yaml".to_owned(), text)
+        });
+        self.cameras.iter().enumerate().map(camera).chain(unit).collect()
     }
 }
 

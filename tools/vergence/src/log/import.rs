@@ -1,6 +1,7 @@
 //! `vergence log import`: other people's recordings as a session log.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
@@ -83,6 +84,8 @@ struct Gathered {
     descs: Vec<(StreamDesc, Carries)>,
     items: Vec<(Times, Item)>,
     faults: Vec<String>,
+    /// EuRoC's calibrations, by the name that they have in the folder.
+    rig: BTreeMap<String, String>,
 }
 
 #[derive(Clone, Copy)]
@@ -190,6 +193,9 @@ fn write(output: &Path, header: &Header, gathered: &Gathered) -> Result<vergence
     let options = Options { queue_bytes: 64 << 20, ..Options::default() };
     let failed = |error: vergence_log::Error| super::failed(&error);
     let mut recorder = Recorder::create(output, header, &options).map_err(failed)?;
+    if !gathered.rig.is_empty() {
+        recorder.annotate(vergence_session::RIG, &gathered.rig);
+    }
     let mut open = Vec::with_capacity(gathered.descs.len());
     for (desc, carries) in &gathered.descs {
         open.push(match carries {
@@ -230,12 +236,14 @@ fn write(output: &Path, header: &Header, gathered: &Gathered) -> Result<vergence
             Item::Picture(stream, path) => {
                 let data =
                     std::fs::read(path).map_err(|e| Failure::Work(format!("{}: {e}", path.display())))?;
+                // By what it is, not by its name.
+                let encoding = if data.starts_with(&[0xff, 0xd8]) { "jpeg" } else { "png" };
                 since_sync += data.len();
                 let image = Image {
                     width: 0,
                     height: 0,
                     step: 0,
-                    encoding: Cow::Borrowed("png"),
+                    encoding: Cow::Borrowed(encoding),
                     data: Cow::Owned(data),
                 };
                 if let Open::Picture(stream) = &open[*stream] {
@@ -281,6 +289,14 @@ fn tum(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure
 fn euroc(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
     let inner = path.join("mav0");
     let rig = if inner.is_dir() { inner } else { path.to_owned() };
+    for name in (0..8).map(|index| format!("cam{index}")).chain(["imu0".to_owned()]) {
+        let name = format!("{name}/sensor.yaml");
+        match std::fs::read_to_string(rig.join(&name)) {
+            Ok(sheet) => drop(gathered.rig.insert(name, sheet)),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            Err(error) => return Err(Failure::Work(format!("{}: {error}", rig.join(&name).display()))),
+        }
+    }
     let imu = rig.join("imu0");
     if imu.is_dir() {
         let recording = Recording::read(&imu).map_err(|error| Failure::work(&error))?;

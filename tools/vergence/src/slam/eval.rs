@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 use serde_json::json;
 use vergence_report::{Axis, Plot, Point, Series, Style};
+use vergence_slam::dataset::Dataset;
 use vergence_slam::evaluate::{Align, Evaluation, Relative, evaluate};
 use vergence_slam::trajectory::Trajectory;
 
@@ -15,7 +16,7 @@ use crate::failure::Failure;
 pub struct Args {
     /// The estimate, TUM format (`t x y z qx qy qz qw`)
     estimate: PathBuf,
-    /// The truth: TUM format, EuRoC's truth table, or a folder that holds one of them
+    /// The truth: TUM format, EuRoC's truth table, or a recording's folder (EuRoC, 7-Scenes) that has one
     truth: PathBuf,
     /// What may be moved before the error is taken
     #[arg(long, value_enum, default_value_t = Moved::Se3)]
@@ -47,7 +48,12 @@ impl Args {
             Failure::unless_own("--output", output, &[self.estimate.clone(), truth_file.clone()])?;
         }
         let estimate = Trajectory::read(&self.estimate).map_err(failed)?;
-        let truth = Trajectory::read(&truth_file).map_err(failed)?;
+        let truth = if truth_file.is_dir() {
+            let nothing = || Failure::Work(format!("{}: expected a truth, found none", truth_file.display()));
+            Dataset::open(&truth_file).map_err(failed)?.truth.ok_or_else(nothing)?
+        } else {
+            Trajectory::read(&truth_file).map_err(failed)?
+        };
         let align = match self.align {
             Moved::Se3 => Align::Se3,
             Moved::Sim3 => Align::Sim3,

@@ -1,10 +1,13 @@
 //! `vergence slam run`: follows a recording and writes where the rig was.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
+use vergence_session::RigLog;
 use vergence_slam::dataset::Dataset;
+use vergence_slam::follower::Follower;
 use vergence_slam::playback::{Mode, Playback, z_up};
 use vergence_slam::trajectory::Trajectory;
 use vergence_slam::{Estimate, Params, State};
@@ -19,7 +22,7 @@ use crate::timing;
 /// recording gives the same bits, whatever the number of threads.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A EuRoC (ASL) folder or a 7-Scenes folder
+    /// A EuRoC (ASL) folder, a 7-Scenes folder, or a session log (.mcap) of a rig, as `log import euroc` writes it
     dataset: PathBuf,
     /// Which sensors take part
     #[arg(long, value_enum, default_value_t = Sensors::StereoInertial)]
@@ -30,6 +33,10 @@ pub struct Args {
     /// The poses, TUM format: of the inertial unit in a EuRoC folder, of the camera in a 7-Scenes folder
     #[arg(short, long, value_name = "TRAJ.tum")]
     output: PathBuf,
+    /// How far each pose can be trusted (CSV): time, state, standard deviations of position and rotation since the start, points seen,
+    /// points thrown away, keyframe
+    #[arg(long, value_name = "F.csv")]
+    states: Option<PathBuf>,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
@@ -139,6 +146,18 @@ impl Outcome {
         Trajectory { poses }
     }
 
+    /// A line for each frame.
+    fn states(&self) -> String {
+        let mut table =
+            "#time_ns,state,position_sigma_m,rotation_sigma_rad,seen,thrown_away,keyframe\n".to_owned();
+        for e in &self.estimates {
+            let (at, state, sigma) = (e.time.as_nanos(), e.state, e.position_sigma_m);
+            let (turn, key) = (e.rotation_sigma_rad, u8::from(e.keyframe));
+            let _ = writeln!(table, "{at},{state:?},{sigma:.6},{turn:.6},{},{},{key}", e.known, e.outliers);
+        }
+        table
+    }
+
     fn count(&self, is: impl Fn(State) -> bool) -> usize {
         self.estimates.iter().filter(|e| is(e.state)).count()
     }
@@ -199,6 +218,28 @@ pub fn play(
     Ok(outcome)
 }
 
+/// Plays a log to its end; says how many frames it had.
+fn play_log(log: &RigLog, mode: Mode, config: &Config, bar: &ProgressBar) -> Result<(Outcome, u64), Failure> {
+    let (knobs, params) = config.resolve()?;
+    let reduce = config.reduce.unwrap_or(1);
+    let follower = Follower::new(log.path(), &log.rig, mode, knobs, params, reduce)
+        .map_err(|error| Failure::call(&error))?;
+    let mut outcome = Outcome { estimates: Vec::new(), cpu_ms: Vec::new() };
+    let follower = log
+        .follow(follower, |follower| {
+            loop {
+                let before = timing::thread_cpu_ns();
+                let Some(estimate) = follower.follow()? else { return Ok(true) };
+                outcome.cpu_ms.push((timing::thread_cpu_ns() - before) * 1e-6);
+                outcome.estimates.push(estimate);
+                bar.inc(1);
+            }
+        })
+        .map_err(|error| Failure::work(&error))?;
+    let frames = outcome.estimates.len() as u64 + follower.incomplete();
+    Ok((outcome, frames))
+}
+
 /// Largest memory of this process so far, MB; 0 where the system does not say.
 fn peak_rss_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -211,19 +252,43 @@ impl Args {
     /// Follows the recording, writes the poses, says how it went.
     pub fn run(self) -> Result<(), Failure> {
         let config = self.config.as_deref().map_or(Ok(Config::default()), Config::read)?;
-        let dataset = Dataset::open(&self.dataset).map_err(|error| Failure::work(&error))?;
-        let bar = ProgressBar::new(dataset.frames.len() as u64);
-        if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {eta}") {
-            bar.set_style(style);
-        }
-        let outcome = play(&dataset, self.mode.mode(), &config, self.threads, &bar)?;
-        bar.finish_and_clear();
+        let mode = self.mode.mode();
+        let bar = |frames: Option<u64>| {
+            let bar = frames.map_or_else(ProgressBar::new_spinner, ProgressBar::new);
+            let shown = if frames.is_some() {
+                "{bar:40} {pos}/{len} frames, {eta}"
+            } else {
+                "{spinner} {pos} frames"
+            };
+            if let Ok(style) = ProgressStyle::with_template(shown) {
+                bar.set_style(style);
+            }
+            bar
+        };
+        let (outcome, frames) = if RigLog::is_log(&self.dataset) {
+            Failure::unless_own("--output", &self.output, std::slice::from_ref(&self.dataset))?;
+            let log = RigLog::open(&self.dataset).map_err(|error| Failure::work(&error))?;
+            let bar = bar(None);
+            let played = play_log(&log, mode, &config, &bar)?;
+            bar.finish_and_clear();
+            played
+        } else {
+            let dataset = Dataset::open(&self.dataset).map_err(|error| Failure::work(&error))?;
+            let bar = bar(Some(dataset.frames.len() as u64));
+            let outcome = play(&dataset, mode, &config, self.threads, &bar)?;
+            bar.finish_and_clear();
+            (outcome, dataset.frames.len() as u64)
+        };
         let file = std::fs::File::create(&self.output)
             .map_err(|error| Failure::Call(format!("{}: {error}", self.output.display())))?;
         outcome
             .trajectory()
             .write_tum(std::io::BufWriter::new(file))
             .map_err(|error| Failure::Work(format!("{}: {error}", self.output.display())))?;
+        if let Some(path) = &self.states {
+            std::fs::write(path, outcome.states())
+                .map_err(|error| Failure::Call(format!("{}: {error}", path.display())))?;
+        }
         let provisional = outcome.count(|s| !matches!(s, State::Tracked | State::Coasting | State::Lost));
         let (lost, coasting) = (outcome.count(|s| s == State::Lost), outcome.count(|s| s == State::Coasting));
         let keyframes = outcome.estimates.iter().filter(|e| e.keyframe).count();
@@ -231,7 +296,7 @@ impl Args {
         let last = outcome.estimates.last().map_or(State::Waiting, |e| e.state);
         if self.json {
             let object = json!({
-                "frames": dataset.frames.len(),
+                "frames": frames,
                 "poses": outcome.estimates.len(),
                 "provisional_frames": provisional,
                 "coasting_frames": coasting,
@@ -246,7 +311,7 @@ impl Args {
             println!(
                 "{} poses of {} frames: {provisional} provisional, {coasting} by the inertial unit alone, {lost} lost; {keyframes} keyframes",
                 outcome.estimates.len(),
-                dataset.frames.len()
+                frames
             );
             println!(
                 "{median:.1} ms of CPU per frame without decoding (p95 {p95:.1}), {:.0} MB at most",
