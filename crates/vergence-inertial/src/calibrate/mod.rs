@@ -4,9 +4,13 @@
 //! A triad reads `measured = matrix · true + offset`. The lengths of gravity and of the earth's field give the symmetric
 //! part of the matrix and the offset (an ellipsoid); how the directions turn between rests, seen by the gyroscope, gives
 //! the rest of it: the rotation between that sensor and the gyroscope, whose axes are the axes of the unit.
+//!
+//! What the recording does not tell is named, and stays as it is in a unit without errors: an offset or cross-axis term of
+//! exactly 0, a scale of exactly 1, no rotation. Its standard deviation is what it may be all the same.
 
 mod alignment;
 mod ellipsoid;
+mod magnetometer;
 
 use std::path::Path;
 
@@ -17,8 +21,9 @@ use vergence_time::Timestamp;
 
 use crate::Error;
 use crate::still::still_stretches;
-use alignment::Turn;
-use ellipsoid::{Ellipsoid, Prior};
+use alignment::{Alignment, Turn};
+use ellipsoid::{Ellipsoid, Prior, Reading};
+use magnetometer::Told;
 
 /// What is known without the recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -218,12 +223,19 @@ pub fn calibrate(samples: &[(Timestamp, Imu)], params: &CalibrateParams) -> Resu
     let (bias, bias_sd) =
         gyroscope_bias(&rests, variance_per_sample(samples, &stretches, |imu| Some(imu.gyr_rad_s)));
     let acc_variance = variance_per_sample(samples, &stretches, |imu| Some(imu.acc_m_s2));
-    let points: Vec<(Vector3<f64>, f64)> =
-        rests.iter().map(|rest| (rest.acc, (acc_variance / rest.samples as f64).sqrt())).collect();
-    let acc = Ellipsoid::fit(&points, Some(params.gravity_m_s2), &Prior::ACCELEROMETER);
+    let point = |rest: &Rest| {
+        let noise = (acc_variance / rest.samples as f64).sqrt().max(1e-9 * params.gravity_m_s2);
+        Reading { vector: rest.acc, noise, weight: 1.0 / (noise * noise) }
+    };
+    let points: Vec<Reading> = rests.iter().map(point).collect();
+    let acc = Ellipsoid::fit(&points, Some(params.gravity_m_s2), &Prior::ACCELEROMETER, None)
+        .and_then(|fit| fit.clone().put_back(&fit.unseen(), &points, Some(params.gravity_m_s2)));
     let accelerometer = match &acc {
         Some(fit) => {
-            let aligned = alignment::align(&turns(samples, &rests, &bias, &|rest| fit.direction(&rest.acc)));
+            let aligned = alignment::align(
+                &turns(samples, &rests, &bias, &|rest| fit.direction(&rest.acc)),
+                !fit.unseen().contains(&true),
+            );
             whole(
                 "accelerometer",
                 "rests in other directions (each axis up and down, and between)",
@@ -311,17 +323,28 @@ fn magnetometer(
     if seen.is_empty() {
         return None;
     }
-    // The noise is not known beforehand: what is left says it.
-    let points: Vec<_> = seen.iter().map(|m| (*m, 1.0)).collect();
-    let Some(fit) = Ellipsoid::fit(&points, params.field_ut, &Prior::MAGNETOMETER) else {
-        not_observed.push("magnetometer: nothing; it does not measure a vector that turns".to_owned());
-        return None;
+    let fit = match magnetometer::fit(&seen, params.field_ut) {
+        Told::Fit(fit) => *fit,
+        Told::Nothing => {
+            not_observed.push("magnetometer: nothing; turning it about every axis would tell".to_owned());
+            return None;
+        }
+        Told::Uneven(left_ut) => {
+            not_observed.push(format!(
+                "magnetometer: nothing; its errors are smaller than the field differs from place to place ({left_ut:.2} µT), \
+                 turning it where the field is even (outdoors) would tell"
+            ));
+            return None;
+        }
     };
     if params.field_ut.is_none() {
         not_observed
             .push("magnetometer: strength of the field (its mean scale is taken as 1); say it".to_owned());
     }
-    let aligned = alignment::align(&turns(samples, rests, bias, &|rest| fit.direction(&rest.mag?)));
+    let aligned = alignment::align(
+        &turns(samples, rests, bias, &|rest| fit.direction(&rest.mag?)),
+        !fit.unseen().contains(&true),
+    );
     Some(whole("magnetometer", "turning it about every axis", &fit, aligned, not_observed))
 }
 
@@ -341,10 +364,11 @@ fn whole(
     sensor: &str,
     remedy: &str,
     fit: &Ellipsoid,
-    (rotation, rotation_sd): (UnitQuaternion<f64>, Vector3<f64>),
+    alignment: Alignment,
     not_observed: &mut Vec<String>,
 ) -> TriadCalibration {
-    let matrix = fit.matrix * rotation.to_rotation_matrix().into_inner();
+    let Alignment { sensor_from_unit, deviations: rotation_sd, seen: turned } = alignment;
+    let matrix = fit.matrix * sensor_from_unit.to_rotation_matrix().into_inner();
     let mut matrix_sd = fit.matrix_sd;
     for row in 0..3 {
         for column in (0..3).filter(|column| *column != row) {
@@ -368,7 +392,6 @@ fn whole(
     let crossed: Vec<&str> =
         fit.cross_seen.iter().zip(pairs).filter(|(seen, _)| !**seen).map(|(_, pair)| pair).collect();
     miss("cross-axis terms", crossed.join(", "), remedy);
-    let turned: [bool; 3] = std::array::from_fn(|axis| rotation_sd[axis] < 0.5 * alignment::PRIOR_RAD);
     miss("rotation to the gyroscope about", list(&turned), "turns about other axes between rests");
     TriadCalibration {
         offset: fit.offset.into(),

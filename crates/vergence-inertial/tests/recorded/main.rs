@@ -1,6 +1,7 @@
 //! Filters over recorded motion with optical truth: what others published is what ours give, and `vergence` beats it.
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod calibrated;
 mod hard;
 mod twin;
 
