@@ -15,6 +15,9 @@ use super::input;
 use crate::failure::Failure;
 
 /// Runs an orientation filter over a recording and writes an orientation for each sample
+///
+/// The filter vergence takes out a lag of the sensors of 4 ms, as common units have it. For a unit without a low-pass give a --config
+/// with latency_s = 0, acc_lag_s = 0 and mag_lag_s = 0; for another lag, that one as latency_s.
 #[derive(clap::Args)]
 pub struct Args {
     /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz), EuRoC's imu0 (its folder or data.csv),
@@ -113,6 +116,18 @@ impl Args {
         let times = recording.samples.iter().map(|(at, _)| *at);
         let file = BufWriter::new(File::create(&self.out).map_err(out)?);
         write_orientations(file, times.zip(orientations)).map_err(out)?;
+        // Where it is the rule, not the exception, the readings are in another unit. A magnetometer that is slower than the
+        // gyroscope misses many samples, but not all.
+        let samples = recording.samples.len() as u64;
+        for (name, expected, most) in
+            [("gyr_saturated", "rates in rad/s", samples / 4), ("mag_wrong", "a field in µT", samples - 1)]
+        {
+            let found = filter.rejections().occurred().find(|(found, _)| *found == name);
+            if let Some((_, count)) = found.filter(|(_, count)| *count > most) {
+                let input = self.input.display();
+                log::warn!("{input}: expected {expected}, found {name} in {count} of {samples} samples");
+            }
+        }
         let rejected: serde_json::Map<String, serde_json::Value> =
             filter.rejections().occurred().map(|(name, count)| (name.to_owned(), json!(count))).collect();
         if self.json {
