@@ -2,46 +2,18 @@
 //!
 //! A reading leaves the device at `d` on its clock and arrives at `a` on ours; `a − d` is the offset of the clocks plus the
 //! latency, and latency only ever adds. So the offset is the *lower edge* of the points (d, a − d), and drift is its slope.
-//! Of all lines that lie below all points, the one with the least mean distance to them is the edge of their lower convex
-//! hull above the mean of d (Moon, Skelly, Towsley: Estimation and removal of clock skew from network delay measurements,
-//! INFOCOM 1999). It is kept over a sliding window of which each tenth of a second leaves its lowest point, so that cost
+//! The `edge` module finds it, over a sliding window of which each tenth of a second leaves its lowest point, so that cost
 //! and memory do not grow with the rate.
 
-use std::collections::VecDeque;
-
+use crate::edge::{BINS, Edge, Line, Point};
 use crate::{Counter, Span, Timestamp};
 
-/// Parts of the window, each of which keeps its lowest point.
-const BINS: i64 = 600;
-/// Latencies scatter by tens of milliseconds: over less than this, a slope says nothing.
-const FIRST_SLOPE_NS: f64 = 1e9;
-/// A slope that is known is not given up for one over less than this.
-const NEXT_SLOPE_NS: f64 = 5e9;
-/// After this, what looks like another slope is a step.
-const SURE_SLOPE_NS: f64 = 10e9;
-/// Another slope must come nearer to the points than the one so far, by more the shorter they were watched.
-const DOUBT_NS: f64 = 1.25e9;
-const DOUBT_LEAST_NS: f64 = 20_000.0;
-/// No oscillator is worse.
-const MOST_DRIFT: f64 = 0.05;
 /// A counter that goes back by more was set; less may be a matter of order.
-const BACK_NS: i64 = -1_000_000_000;
+const BACK_NS: i64 = -250_000_000;
 /// Nothing arrives this much before it can: the counter was set forward.
-const EARLY_NS: f64 = -1e9;
+const EARLY_NS: i64 = -1_000_000_000;
 /// No latency is longer: the counter was set back, or the host slept.
-const LATE_NS: f64 = 10e9;
-/// So many bins, of so many, with a reading earlier than the line allows are another offset, not luck: it would have come
-/// before.
-const LOW_BINS: usize = 5;
-const LOW_FOR: usize = 20;
-const LOW_NS: f64 = -250_000.0;
-/// So many bins in a row, all above a level above which there were at most half as many in a row before, are another
-/// offset, not a busy bus. The more there are, the smaller a difference they prove.
-const HIGH_RUNS: [usize; 4] = [10, 20, 40, 80];
-/// A step must come this much nearer to the points than a slope.
-const STEP: f64 = 1.25;
-/// Smaller differences are left to the window's end.
-const HIGH_NS: f64 = 300_000.0;
+const LATE_NS: i64 = 10_000_000_000;
 
 /// Knobs of a [`ClockMap`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,12 +26,15 @@ pub struct ClockKnobs {
     /// How far back readings count, 6 s to 10 min, default 60 s. Short: follows a clock that warms up, and errs more where
     /// fast readings are rare. Memory: 600 points at any length.
     pub window: Span,
+    /// No oscillator of the device is worse, parts per million, 10 to 50,000, default 5000: ceramic resonators. Of a device
+    /// with a crystal, 200 makes the map surer while it has little to go by; an RC oscillator may need 30,000.
+    pub most_drift_ppm: u32,
 }
 
 impl ClockKnobs {
     /// A counter, no declared latency, a window of a minute.
     pub const fn new(counter: Counter) -> Self {
-        Self { counter, least_latency: Span::ZERO, window: Span::from_millis(60_000) }
+        Self { counter, least_latency: Span::ZERO, window: Span::from_millis(60_000), most_drift_ppm: 5000 }
     }
 }
 
@@ -74,36 +49,6 @@ pub struct ClockState {
     pub excess: Span,
     /// How often the device's clock was found set, forward, back, or begun anew.
     pub jumps: u32,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct Point {
-    device_ns: i64,
-    /// Arrival less device time.
-    offset_ns: i64,
-}
-
-/// Offset as a function of device time.
-#[derive(Clone, Copy, Debug, Default)]
-struct Line {
-    through: Point,
-    slope: f64,
-}
-
-impl Line {
-    fn offset_ns(&self, device_ns: i64) -> i64 {
-        let along = device_ns.saturating_sub(self.through.device_ns) as f64;
-        self.through.offset_ns.saturating_add((self.slope * along) as i64)
-    }
-
-    /// How far a point lies above.
-    fn above_ns(&self, point: Point) -> i64 {
-        point.offset_ns.saturating_sub(self.offset_ns(point.device_ns))
-    }
-
-    fn residual_ns(&self, point: Point) -> f64 {
-        self.above_ns(point) as f64
-    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -139,22 +84,12 @@ pub struct ClockMap {
     bin_ns: i64,
     ticks: i128,
     last: Option<Last>,
-    /// Closed bins, oldest first: the lowest point of each.
-    bins: VecDeque<Point>,
-    /// Places in `bins` of the hull's corners.
-    hull: Vec<usize>,
+    /// The earliest readings of each tenth of a second that is over.
+    edge: Edge,
     open: Point,
     open_since: Timestamp,
-    /// As learnt when the last bin was closed.
-    settled: Line,
-    /// The same, lowered by what has arrived earlier since.
+    /// As the edge was learnt, lowered by what has arrived earlier since.
     line: Line,
-    /// Over how long the slope was learnt, at most.
-    slope_ns: f64,
-    /// Bins since one was too early, and how many of them were.
-    low_for: usize,
-    low_bins: usize,
-    residual_ns: f64,
     excess_ns: f64,
     jumps: u32,
 }
@@ -165,19 +100,13 @@ impl ClockMap {
         let window_ns = knobs.window.as_nanos().clamp(6_000_000_000, 600_000_000_000);
         Self {
             knobs,
-            bin_ns: window_ns / BINS,
+            bin_ns: window_ns / BINS as i64,
             ticks: 0,
             last: None,
-            bins: VecDeque::with_capacity(BINS as usize + 1),
-            hull: Vec::with_capacity(BINS as usize + 1),
+            edge: Edge::new(f64::from(knobs.most_drift_ppm.clamp(10, 50_000)) * 1e-6, window_ns),
             open: Point::default(),
             open_since: Timestamp::default(),
-            settled: Line::default(),
             line: Line::default(),
-            slope_ns: 0.0,
-            low_for: 0,
-            low_bins: 0,
-            residual_ns: 0.0,
             excess_ns: 0.0,
             jumps: 0,
         }
@@ -197,7 +126,7 @@ impl ClockMap {
         let point = Point { device_ns, offset_ns: arrived.as_nanos().saturating_sub(device_ns) };
         let mut above_ns = self.line.above_ns(point);
         let back = device_ns.saturating_sub(last.device_ns) < BACK_NS;
-        if back || !(EARLY_NS..=LATE_NS).contains(&(above_ns as f64)) {
+        if back || !(EARLY_NS..=LATE_NS).contains(&above_ns) {
             self.jumps = self.jumps.saturating_add(1);
             self.begin(point, arrived);
             above_ns = 0;
@@ -230,170 +159,26 @@ impl ClockMap {
         captured
     }
 
-    /// Forgets every point; what is known of the drift stays.
+    /// The clock was set, by so much that one reading shows it; what is known of the drift stays.
     fn begin(&mut self, point: Point, arrived: Timestamp) {
-        self.bins.clear();
+        self.edge.begin();
         (self.open, self.open_since) = (point, arrived);
         self.line.through = point;
-        self.settled = self.line;
-        (self.low_for, self.low_bins) = (0, 0);
     }
 
     /// The open bin is over.
     fn close(&mut self) {
-        if self.bins.len() == BINS as usize {
-            self.bins.pop_front();
-        }
-        self.bins.push_back(self.open);
-        if self.was_set_forward() || self.was_set_back() {
-            self.jumps = self.jumps.saturating_add(1);
-            self.settled = self.line;
-        } else if self.low_for == 0 {
-            self.fit();
-            self.settled = self.line;
-        }
-    }
-
-    /// Readings keep coming earlier than they could.
-    fn was_set_forward(&mut self) -> bool {
-        let early = self.settled.residual_ns(self.open) < LOW_NS;
-        if self.low_for == 0 && !(early && self.bins.len() > 2 * LOW_FOR) {
-            return false;
-        }
-        self.low_for += 1;
-        self.low_bins += usize::from(early);
-        if self.low_bins < LOW_BINS {
-            if self.low_for >= LOW_FOR {
-                (self.low_for, self.low_bins) = (0, 0);
-            }
-            return false;
-        }
-        let old = self.bins.len() - self.low_for;
-        (self.low_for, self.low_bins) = (0, 0);
-        if self.is_drift(old, old) {
-            return false;
-        }
-        // The line went down with the first of them.
-        self.bins.drain(..old);
-        true
-    }
-
-    /// Readings do not come any more as early as they did, and never before failed to for so long.
-    fn was_set_back(&mut self) -> bool {
-        let residual = |&point: &Point| self.settled.residual_ns(point).max(0.0);
-        let Some(run) = HIGH_RUNS.into_iter().find(|&run| {
-            let Some(old) = self.bins.len().checked_sub(run).filter(|&old| old >= 3 * run) else {
-                return false;
-            };
-            let lowest = self.bins.range(old..).map(residual).fold(f64::INFINITY, f64::min);
-            if lowest < HIGH_NS {
-                return false;
-            }
-            let mut longest = (0, 0);
-            for high in self.bins.range(..old).map(|point| residual(point) >= lowest) {
-                longest.1 = if high { longest.1 + 1 } else { 0 };
-                longest.0 = longest.1.max(longest.0);
-            }
-            longest.0 < run / 2
-        }) else {
-            return false;
-        };
-        // The first of them may hold readings of before.
-        let (old, new) = (self.bins.len() - run, self.bins.len() - run / 2);
-        self.line.through = self.lowest_from(new);
-        if self.is_drift(old, new) {
-            return false;
-        }
-        self.bins.drain(..new);
-        true
-    }
-
-    /// Whether drift that was not known explains the points nearly as well as a step between the bins before `old` and
-    /// those from `new` on; the line is then the drifting one.
-    fn is_drift(&mut self, old: usize, new: usize) -> bool {
-        if self.slope_ns >= SURE_SLOPE_NS {
-            return false;
-        }
-        let Some(fitted) = self.fitted() else { return false };
-        let end = self.bins.len();
-        let above = |line: &Line, range| self.bins.range(range).map(|&p| line.residual_ns(p)).sum::<f64>();
-        let step = above(&self.settled, 0..old) + above(&self.line, new..end);
-        let is_drift = above(&fitted, 0..old) + above(&fitted, new..end) < STEP * step;
-        if is_drift {
-            self.line = fitted;
-        }
-        is_drift
-    }
-
-    /// Learns the line anew, where it has been watched for long enough.
-    fn fit(&mut self) {
-        let (Some(first), Some(last)) = (self.bins.front(), self.bins.back()) else { return };
-        let watched_ns = last.device_ns.saturating_sub(first.device_ns) as f64;
-        if watched_ns < if self.slope_ns > 0.0 { NEXT_SLOPE_NS } else { FIRST_SLOPE_NS } {
-            return;
-        }
-        let Some(fitted) = self.fitted() else { return };
-        let kept = Line { through: self.lowest_from(0), slope: self.line.slope };
-        let (fits, keeps) = (self.mean_above(&fitted), self.mean_above(&kept));
-        // Oscillators are better than what scattered latency over a short time makes of them.
-        let doubt = 1.0 + DOUBT_NS / watched_ns;
-        let better = keeps > fits * doubt + DOUBT_LEAST_NS;
-        self.line = if better { fitted } else { kept };
-        self.residual_ns = fits.min(keeps);
-        if better || watched_ns >= NEXT_SLOPE_NS {
-            self.slope_ns = self.slope_ns.max(watched_ns);
-        }
-    }
-
-    /// The line below all points with the least mean distance to them.
-    fn fitted(&mut self) -> Option<Line> {
-        let &first = self.bins.front()?;
-        let along = |point: Point| point.device_ns.saturating_sub(first.device_ns) as f64;
-        let up = |point: Point| point.offset_ns.saturating_sub(first.offset_ns) as f64;
-        self.hull.clear();
-        let mut sum = 0.0;
-        for (index, &point) in self.bins.iter().enumerate() {
-            sum += along(point);
-            // Device time may stand still or go back a little: only what is ahead can be a corner.
-            if self.hull.last().is_some_and(|&corner| along(point) <= along(self.bins[corner])) {
-                continue;
-            }
-            while let [.., a, b] = self.hull[..] {
-                let (a, b) = (self.bins[a], self.bins[b]);
-                let cross =
-                    (along(b) - along(a)) * (up(point) - up(a)) - (up(b) - up(a)) * (along(point) - along(a));
-                if cross > 0.0 {
-                    break;
-                }
-                self.hull.pop();
-            }
-            self.hull.push(index);
-        }
-        let mean = sum / self.bins.len() as f64;
-        let edge = self.hull.windows(2).map(|pair| (self.bins[pair[0]], self.bins[pair[1]]));
-        let (a, b) = edge.reduce(|edge, next| if along(next.0) <= mean { next } else { edge })?;
-        let slope = (up(b) - up(a)) / (along(b) - along(a));
-        (slope.abs() <= MOST_DRIFT).then_some(Line { through: b, slope })
-    }
-
-    /// The point that a line of the present slope below the points from this bin on goes through.
-    fn lowest_from(&self, first: usize) -> Point {
-        let lower = |low: Point, point: Point| {
-            if (Line { through: low, ..self.line }).residual_ns(point) < 0.0 { point } else { low }
-        };
-        self.bins.range(first..).copied().reduce(lower).unwrap_or(self.open)
-    }
-
-    fn mean_above(&self, line: &Line) -> f64 {
-        self.bins.iter().map(|&point| line.residual_ns(point)).sum::<f64>() / self.bins.len() as f64
+        let (line, was_set) = self.edge.close(self.open);
+        self.line = line;
+        self.jumps = self.jumps.saturating_add(u32::from(was_set));
     }
 
     /// How it stands.
     pub fn state(&self) -> ClockState {
         ClockState {
             // Offset that grows with the device's time: it counts too little.
-            drift_ppm: (self.slope_ns > 0.0).then(|| -self.line.slope / (1.0 + self.line.slope) * 1e6),
-            residual: Span::from_nanos(self.residual_ns as i64),
+            drift_ppm: self.edge.slope().map(|slope| -slope / (1.0 + slope) * 1e6),
+            residual: Span::from_nanos(self.edge.residual_ns() as i64),
             excess: Span::from_nanos(self.excess_ns as i64),
             jumps: self.jumps,
         }

@@ -4,6 +4,7 @@
 mod clock;
 mod clock_map;
 mod counter;
+mod edge;
 
 pub use clock::{Clock, HandClock, HostClock};
 pub use clock_map::{ClockKnobs, ClockMap, ClockState};

@@ -30,6 +30,8 @@ enum Latency {
     Turns(f64),
     /// Load that comes and goes, between these; now and then there is none.
     Wandering(f64, f64),
+    /// Quick, but for bursts of up to so many milliseconds that then are worked off.
+    Bursts(f64),
 }
 
 /// How readings are handed over.
@@ -56,6 +58,8 @@ struct Device {
     jumps: Vec<(f64, f64)>,
     /// Second from which on the counter begins anew.
     reset: Option<f64>,
+    /// Second, for how many seconds, by how many milliseconds all takes longer.
+    load: (f64, f64, f64),
     seed: u64,
 }
 
@@ -71,6 +75,7 @@ impl Default for Device {
             order: Order::Sent,
             jumps: Vec::new(),
             reset: None,
+            load: (0.0, 0.0, 0.0),
             seed: 1,
         }
     }
@@ -79,7 +84,7 @@ impl Default for Device {
 impl Device {
     /// Of each reading: captured, raw, arrived.
     fn readings(&self, secs: f64) -> Vec<(i64, u64, i64)> {
-        let (mut dice, mut load) = (Dice(self.seed), 0.5f64);
+        let (mut dice, mut load, mut burst) = (Dice(self.seed), 0.5f64, 0.0f64);
         let readings = (0..(secs * self.rate_hz) as i64).map(|index| {
             let at_s = index as f64 / self.rate_hz;
             let jump_ms: f64 = self.jumps.iter().filter(|jump| at_s >= jump.0).map(|jump| jump.1).sum();
@@ -100,12 +105,21 @@ impl Device {
                     load = (load + 1.2 * (dice.unit() - 0.5)).clamp(-0.3, 1.0);
                     least + (most - least) * load.max(0.0)
                 }
+                Latency::Bursts(most) => {
+                    burst -= 1000.0 / self.rate_hz;
+                    if dice.unit() < 0.0005 {
+                        burst = most * dice.unit();
+                    }
+                    1.0 + 3.0 * dice.unit() + burst.max(0.0)
+                }
                 Latency::Turns(turn) => {
                     let next = ((captured * 1e-6 + 0.2) / turn).ceil() * turn;
                     next - captured * 1e-6 + 0.05 * dice.unit()
                 }
             };
-            (captured as i64, raw, captured as i64 + (latency_ms * 1e6) as i64)
+            let (from, secs, more_ms) = self.load;
+            let loaded_ms = if (from..from + secs).contains(&at_s) { more_ms } else { 0.0 };
+            (captured as i64, raw, captured as i64 + ((latency_ms + loaded_ms) * 1e6) as i64)
         });
         let mut readings: Vec<_> = readings.collect();
         match self.order {
@@ -169,6 +183,142 @@ fn drift_a_wrap_and_a_jump_behind_latency_of_1_to_30_ms() {
                 assert!(order != Order::Sent || map.state().jumps == 1, "{device:?}");
                 assert!((map.state().drift_ppm.unwrap() - 120.0).abs() < 20.0, "{:?}", map.state());
             }
+        }
+    }
+}
+
+/// Every order of delivery, many seeds: two lucky readings, or none for a while, do not turn the map.
+#[test]
+fn it_holds_for_any_seed() {
+    for (latency, order, seeds) in [
+        (Latency::Uniform(1.0, 30.0), Order::Sent, 10),
+        (Latency::Uniform(1.0, 30.0), Order::Arrival, 10),
+        (Latency::Wandering(1.0, 30.0), Order::Wire, 50),
+        (Latency::Bursts(100.0), Order::Wire, 10),
+        (Latency::Turns(7.3), Order::Wire, 10),
+    ] {
+        let (mut before, mut after, mut jumps) = (0f64, 0f64, 0);
+        for seed in 100..100 + seeds {
+            let jump_ms = [37.0, -37.0, 3.0, -3.0, 250.0][seed as usize % 5];
+            let device = Device { latency, order, jumps: vec![(30.0, jump_ms)], seed, ..Device::default() };
+            let readings = device.readings(50.0);
+            let least_ms = if matches!(latency, Latency::Turns(_)) { 0.2 } else { 1.0 };
+            let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+            let errors = errors_ms(&readings, &mut map);
+            before = before.max(p99(&errors, 10.0, 29.9, least_ms));
+            after = after.max(p99(&errors, 40.0, 50.0, least_ms));
+            jumps = jumps.max(map.state().jumps);
+            let drift = map.state().drift_ppm.expect("learnt");
+            assert!((drift - 120.0).abs() < 20.0, "{device:?}: {:?}", map.state());
+        }
+        println!("{latency:?} {order:?} {seeds} seeds: {before:.3} ms, {after:.3} ms, {jumps} steps at most");
+        assert!(before <= BOUND_MS && after <= BOUND_MS, "{latency:?} {order:?}: {before} ms, {after} ms");
+        assert!(jumps <= 6, "{latency:?} {order:?}: {jumps}");
+    }
+}
+
+/// A double boot, a watchdog, a reset as the port was opened: within ten seconds all is well, whenever it was.
+#[test]
+fn a_clock_that_is_set_in_its_first_seconds_is_followed() {
+    let mut worst = 0f64;
+    for (index, at_s) in [0.05, 0.2, 0.5, 0.9, 1.5, 2.0, 3.0, 5.0, 8.0, 10.0].into_iter().enumerate() {
+        for jump_ms in [-900.0, -500.0, -50.0, 50.0, -3.0, 3.0] {
+            let device = Device { jumps: vec![(at_s, jump_ms)], seed: index as u64, ..Device::default() };
+            let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+            let errors = errors_ms(&device.readings(at_s + 25.0), &mut map);
+            let after = p99(&errors, at_s + 10.0, at_s + 25.0, 1.0);
+            worst = worst.max(after);
+            assert!(after <= BOUND_MS, "{jump_ms} ms at {at_s} s: {after} ms, {:?}", map.state());
+        }
+    }
+    println!("{worst:.3} ms");
+}
+
+/// Nothing overtakes, and for a while everything is late: no panic, no clock that was set so often, no drift that no
+/// oscillator has, and afterwards it is as it was. Here the least latency is met rarely, or never: the bound is wider.
+#[test]
+fn load_on_a_wire_turns_nothing() {
+    for (most_ms, load_ms, bound_ms) in [(4.0, 10.0, 0.5), (11.0, 19.0, 2.0), (30.0, 0.0, 5.0)] {
+        for secs in [0.5, 1.0, 2.0, 3.0, 5.0] {
+            let (mut worst, mut jumps) = (0f64, 0);
+            for seed in 0..4 {
+                let device = Device {
+                    latency: Latency::Uniform(1.0, most_ms),
+                    order: Order::Wire,
+                    load: (20.0, secs, load_ms),
+                    seed,
+                    ..Device::default()
+                };
+                let readings = device.readings(60.0);
+                let settled = readings.iter().filter(|reading| reading.0 > 5_000_000_000);
+                let least = settled.map(|(captured, _, arrived)| arrived - captured).min().expect("readings");
+                let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+                let errors = errors_ms(&readings, &mut map);
+                worst = worst.max(p99(&errors, 30.0 + secs, 60.0, least as f64 * 1e-6));
+                jumps = jumps.max(map.state().jumps);
+                let drift = map.state().drift_ppm.expect("learnt");
+                assert!((drift - 120.0).abs() < 100.0, "{device:?}: {:?}", map.state());
+            }
+            println!("1 to {most_ms} ms, {load_ms} ms more for {secs} s: {worst:.2} ms, {jumps} steps");
+            assert!(worst <= bound_ms && jumps <= 2, "{most_ms} {load_ms} {secs}: {worst} ms, {jumps}");
+        }
+    }
+}
+
+/// Ceramic resonators are off by thousands of parts per million; that is a slope, no row of steps.
+#[test]
+fn a_bad_oscillator_is_a_slope() {
+    for drift_ppm in [-4500.0, -1000.0, 2000.0, 4500.0] {
+        for (latency, order) in
+            [(Latency::Uniform(1.0, 30.0), Order::Sent), (Latency::Bursts(100.0), Order::Wire)]
+        {
+            let jumps = vec![(30.0, 37.0)];
+            let device = Device { drift_ppm, latency, order, jumps, ..Device::default() };
+            let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+            let errors = errors_ms(&device.readings(50.0), &mut map);
+            let (before, after) = (p99(&errors, 10.0, 29.9, 1.0), p99(&errors, 40.0, 50.0, 1.0));
+            assert!(before <= BOUND_MS && after <= BOUND_MS, "{drift_ppm} ppm {order:?}: {before} {after}");
+            let state = map.state();
+            assert!((state.drift_ppm.unwrap() - drift_ppm).abs() < 20.0 && state.jumps <= 2, "{state:?}");
+        }
+    }
+}
+
+/// Hours of a device at its worst: loads, stalls, bursts, clocks that are set, devices that begin anew, silence. The map
+/// is causal, its drift is one that an oscillator may have, and it does not panic.
+#[test]
+fn hours_of_trouble_are_survived() {
+    for seed in 0..6 {
+        let (mut dice, knobs) = (Dice(seed), ClockKnobs::new(Counter::MICROS_32));
+        let window = [knobs.window, Span::from_millis(6_000), Span::from_millis(600_000)][seed as usize % 3];
+        let mut map = ClockMap::new(ClockKnobs { window, ..knobs });
+        let (mut at_ns, mut device_ns, mut arrived, mut late_ns) = (0i64, 0i64, 0i64, 0i64);
+        let (mut mode, mut most_ns) = (0, 10_000_000.0);
+        for index in 0..30_000 {
+            if index % 500 == 0 {
+                mode = dice.next() % 8;
+                most_ns = [1e5, 3e6, 3e7, 3e8][dice.next() as usize % 4];
+                late_ns = if mode == 1 { (dice.unit() * 5e7) as i64 } else { 0 };
+                device_ns += match mode {
+                    2 => ((dice.unit() - 0.5) * 1e8) as i64,
+                    3 => ((dice.unit() - 0.5) * 1e10) as i64,
+                    4 => -device_ns,
+                    _ => 0,
+                };
+                at_ns += if mode == 5 { (dice.unit() * 1e12) as i64 } else { 0 };
+            }
+            let step = [20_000_000, 20_000_000, 100_000_000, 1_000_000][mode as usize % 4];
+            at_ns += step;
+            device_ns += step + step / 8000;
+            let latency = late_ns + (dice.unit() * most_ns) as i64;
+            let on_time = at_ns + latency;
+            arrived = if mode % 2 == 0 { arrived.max(on_time) } else { on_time };
+            let at = Timestamp::from_nanos(arrived);
+            let mapped = map.map((device_ns / 1000) as u64, at);
+            let state = map.state();
+            assert!(mapped <= at, "{seed} {index}");
+            assert!(state.drift_ppm.is_none_or(|drift| drift.abs() < 5100.0), "{seed} {index}: {state:?}");
+            assert!(state.residual >= Span::ZERO, "{seed} {index}: {state:?}");
         }
     }
 }
@@ -251,7 +401,7 @@ proptest! {
         let device = Device { drift_ppm, starts_at, counter, tick_ns, latency, jumps, seed, ..Device::default() };
         let mut map = ClockMap::new(ClockKnobs::new(counter));
         let errors = errors_ms(&device.readings(45.0), &mut map);
-        let least = match latency { Latency::Uniform(l, _) | Latency::Exponential(l, ..) | Latency::Wandering(l, _) => l, Latency::Turns(_) => 0.2 };
+        let least = match latency { Latency::Uniform(l, _) | Latency::Exponential(l, ..) | Latency::Wandering(l, _) => l, Latency::Turns(_) => 0.2, Latency::Bursts(_) => 1.0 };
         for (from, to) in [(10.0, 24.9), (35.0, 45.0)] {
             let error = p99(&errors, from, to, least);
             prop_assert!(error <= BOUND_MS, "{from} s to {to} s: {error} ms, {:?}", map.state());
