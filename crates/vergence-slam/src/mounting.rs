@@ -39,15 +39,17 @@ impl std::fmt::Display for Misfit {
 }
 
 /// Time between two views that are compared with the gyroscope, s.
-const SPAN_S: f64 = 0.25;
+const SPAN_S: f64 = 0.5;
 /// A turn that says something; and by how much the gyroscope may be off in the span (a share, and its bias), rad.
-const LEAST_TURN: f64 = 0.03;
-const TURN_SLACK: (f64, f64) = (0.2, 0.02);
+const LEAST_TURN: f64 = 0.06;
+const TURN_SLACK: (f64, f64) = (0.15, 0.03);
 /// Turns until something is said, and the most that are looked at.
-const TURNS: (usize, usize) = (12, 120);
-/// How far turns must spread about two axes (standard deviation), rad; and the share of them (squared) that may be left unexplained.
-const SPREAD: f64 = 0.015;
+const TURNS: (usize, usize) = (12, 100);
+/// How far turns must spread about two axes (standard deviation), rad; the share of them (squared) that may be left unexplained, and how
+/// many times as much the calibration must leave: what some rotation explains a little better says nothing against it.
+const SPREAD: f64 = 0.025;
 const UNEXPLAINED: f64 = 0.1;
+const WORSE: f64 = 5.0;
 /// Turned against the gyroscope: beyond this it is wrong, below half of it it is right, rad.
 const AGAINST_GYROSCOPE: f64 = 0.12;
 /// A look tells against the calibration where that explains less than this share of the matches that some relative pose explains.
@@ -197,9 +199,11 @@ impl Mounting {
         let best = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * sign * vt));
         let all: f64 = centred().map(|(g, _)| g.norm_squared()).sum();
         let left: f64 = centred().map(|(g, v)| (g - best * v).norm_squared()).sum();
-        let turned_rad = best.angle_to(&self.rig[0].body_from_camera.rotation);
+        let said = self.rig[0].body_from_camera.rotation;
+        let left_by_said: f64 = centred().map(|(g, v)| (g - said * v).norm_squared()).sum();
+        let turned_rad = best.angle_to(&said);
         if sizes[1].sqrt() > SPREAD && left < UNEXPLAINED * all {
-            if turned_rad > AGAINST_GYROSCOPE {
+            if turned_rad > AGAINST_GYROSCOPE && left_by_said > WORSE * left {
                 self.found = Some(Misfit { camera: 0, beside: None, turned_rad });
                 self.decided = true;
             } else if turned_rad < 0.5 * AGAINST_GYROSCOPE {

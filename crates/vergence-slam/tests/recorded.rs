@@ -123,7 +123,7 @@ fn cameras_that_sit_otherwise_are_named() {
     }
     // Against the gyroscope it takes turns about two axes.
     for turn in
-        [Vector3::y() * 0.2, Vector3::z() * std::f64::consts::FRAC_PI_2, Vector3::x() * std::f64::consts::PI]
+        [Vector3::y() * 0.5, Vector3::z() * std::f64::consts::FRAC_PI_2, Vector3::x() * std::f64::consts::PI]
     {
         let said = turned(&dataset, [turn, none], 280, Mode::MonoInertial).expect("the camera is turned");
         assert_eq!((said.camera, said.beside), (0, None));
