@@ -39,7 +39,7 @@ const KNOWN_NS: f64 = 15e9;
 /// Over less than this, scattered latency says nothing of the drift.
 pub(crate) const FIRST_SLOPE_NS: f64 = 1e9;
 /// Logarithm of how much likelier a step makes the points than none.
-const PROOF: f64 = 6.0;
+const PROOF: f64 = 11.0;
 /// The same of a piece that is told by its lowest.
 const FEW_PROOF: f64 = 30.0;
 /// Smaller steps are left to the window's end.
