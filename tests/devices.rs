@@ -1,13 +1,23 @@
-//! `vergence devices`, `record` and `replay` as users call them, on a serial device behind a pseudo terminal.
+//! `vergence devices`, `record` and `replay` as users call them: on a serial device behind a pseudo terminal, on the eyes of who wears a
+//! headset, and on nothing at all.
 
 use std::fs::File;
 use std::io::Write;
+use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
 use std::time::Duration;
 
+use nalgebra::{Point3, Vector3};
 use serialport::{SerialPort, TTYPort};
+use vergence_input::hid::{HidSource, Mapping, Reports};
 use vergence_input::serial::frame::Frame;
-use vergence_tests::{last_object, vergence};
+use vergence_log::{LogSource, Reader};
+use vergence_sense::{Gaze, Progress, Reading, ReadingKind, Sample, Source, SourceStream};
+use vergence_tests::{last_object, skip, vergence};
+use vergence_time::{Clock, HandClock, Span, Timestamp};
+
+type Samples = Vec<(usize, Sample<Reading<'static>>)>;
 
 const FRAMES: u16 = 2000;
 /// From here on, three sequence numbers are missing.
@@ -115,4 +125,177 @@ fn what_cannot_be_read_is_said() {
     assert!(status == Some(2) && err.contains("found 'no such thing'"), "{status:?} {err}");
     let (status, _, err) = run(&["record", "--device", "serial:/dev/no-such-port", "/dev/null/x.mcap"]);
     assert!(status == Some(1) && err.contains("/dev/no-such-port: cannot be opened"), "{status:?} {err}");
+}
+
+/// What a container has: neither input nor serial devices, nor the folders that would list them.
+#[test]
+fn without_any_folder_of_devices_the_list_is_empty_and_a_sentence() {
+    // In a mount namespace of its own; an empty folder takes the place of all classes of devices.
+    let script = "mkdir -p \"$1/empty\" && mount --bind \"$1/empty\" /sys/class && mount -t tmpfs none /dev && \
+                  test ! -e /dev/input && test ! -e /sys/class/tty && test ! -e /sys/class/hidraw && \
+                  \"$2\" devices list && exec \"$2\" devices list --json";
+    let folder = tempfile::tempdir().expect("a folder");
+    let probe = Command::new("unshare").args(["-m", "-r", "sh", "-c", "mount -t tmpfs none /dev"]).output();
+    match probe {
+        Ok(output) if output.status.success() => {}
+        Ok(output) => return skip("tmpfs", String::from_utf8_lossy(&output.stderr).trim()),
+        Err(error) => return skip("tmpfs", &error.to_string()),
+    }
+    let output = Command::new("unshare")
+        .args(["-m", "-r", "sh", "-c", script, "sh"])
+        .arg(folder.path())
+        .arg(vergence())
+        .output()
+        .expect("unshare is there, as was just seen");
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert_eq!((output.status.code(), &*err), (Some(0), ""), "{out}");
+    assert!(
+        out.starts_with("No gamepad, HID device with a mapping, or USB serial device is plugged in.\n"),
+        "{out}"
+    );
+    assert_eq!(out.lines().last(), Some("[]"), "{out}");
+}
+
+/// Everything that a source gives until it has no more.
+fn all(source: &mut dyn Source, until: Timestamp) -> (Vec<SourceStream>, Samples) {
+    let mut samples = Samples::new();
+    while source.advance(until, &mut samples) == Progress::Gave {}
+    (source.streams().to_vec(), samples)
+}
+
+/// The stream of gazes, and what came of it.
+fn gazes((streams, samples): (Vec<SourceStream>, Samples)) -> (SourceStream, Vec<Sample<Gaze>>) {
+    let place =
+        streams.iter().position(|stream| stream.kind == ReadingKind::Gaze).expect("a stream of gazes");
+    let gaze = |(stream, sample): (usize, Sample<Reading<'static>>)| match sample.value {
+        Reading::Gaze(value) if stream == place => {
+            Some(Sample { captured: sample.captured, arrived: sample.arrived, value })
+        }
+        _ => None,
+    };
+    (streams[place].clone(), samples.into_iter().filter_map(gaze).collect())
+}
+
+/// An eye tracker on a desk, as the eye and head tracker page has it: time in µs, the point that is looked at, both eyes in µm.
+struct Tracker {
+    reports: Vec<Vec<u8>>,
+    clock: Arc<HandClock>,
+}
+
+const TRACKER: [u8; 72] = [
+    0x05, 0x12, 0x09, 0x01, 0xA1, 0x01, 0x85, 0x10, 0x09, 0x20, 0x75, 0x40, 0x95, 0x01, 0x81, 0x02, 0x17,
+    0x00, 0x00, 0x00, 0x80, 0x27, 0xFF, 0xFF, 0xFF, 0x7F, 0x09, 0x24, 0xA1, 0x00, 0x09, 0x21, 0x09, 0x22,
+    0x75, 0x20, 0x95, 0x02, 0x81, 0x02, 0xC0, 0x09, 0x25, 0xA1, 0x00, 0x09, 0x21, 0x09, 0x22, 0x09, 0x23,
+    0x95, 0x03, 0x81, 0x02, 0xC0, 0x09, 0x26, 0xA1, 0x00, 0x09, 0x21, 0x09, 0x22, 0x09, 0x23, 0x95, 0x03,
+    0x81, 0x02, 0xC0, 0xC0,
+];
+
+impl Reports for Tracker {
+    fn read(&mut self, report: &mut [u8], _: Duration) -> std::io::Result<usize> {
+        self.clock.advance_to(self.clock.now().saturating_add(Span::from_millis(10)));
+        let said = self.reports.pop().ok_or(std::io::ErrorKind::BrokenPipe)?;
+        report[..said.len()].copy_from_slice(&said);
+        Ok(said.len())
+    }
+
+    fn descriptor(&self) -> std::io::Result<Vec<u8>> {
+        Ok(TRACKER.to_vec())
+    }
+}
+
+/// Of 20 reports; the user looks at a point 0.3 m to the right of the display's corner and 0.2 m below it.
+fn of_a_tracker() -> (SourceStream, Vec<Sample<Gaze>>) {
+    let clock = Arc::new(HandClock::default());
+    let report = |number: u64| {
+        let mut bytes = vec![0x10];
+        bytes.extend((number * 10_000).to_le_bytes());
+        // Micrometres: the point; the left eye; the right eye.
+        for place in [300_000i32, 200_000, 270_000, 100_000, 600_000, 330_000, 100_000, 600_000] {
+            bytes.extend(place.to_le_bytes());
+        }
+        bytes
+    };
+    let reports = (0..20).rev().map(report).collect();
+    let mut tracker = Some(Tracker { reports, clock: clock.clone() });
+    let opener = Box::new(move || {
+        let tracker = tracker.take().ok_or(std::io::ErrorKind::NotFound)?;
+        Ok(Box::new(tracker) as Box<dyn Reports>)
+    });
+    let mapping =
+        Mapping::shipped().into_iter().find(|mapping| mapping.name == "eye tracker").expect("it is shipped");
+    let mut source = HidSource::new("tracker".into(), opener, mapping, clock).expect("it can be read");
+    gazes(all(&mut source, Timestamp::from_nanos(1_000_000_000)))
+}
+
+/// The eyes turn to the left at 1°/s from straight ahead, the head rests.
+const EYES: &str = r#"
+at-end = "stop"
+duration = "60 s"
+
+[[head]]
+time = "0 s"
+position = ["0 m", "1.6 m", "0 m"]
+turned = { yaw = "0 deg", pitch = "0 deg" }
+
+[[gaze]]
+time = "0 s"
+turned = { yaw = "0 deg", pitch = "0 deg" }
+
+[[gaze]]
+time = "60 s"
+turned = { yaw = "60 deg", pitch = "0 deg" }
+"#;
+
+#[test]
+fn the_gaze_of_a_headset_and_of_an_eye_tracker_are_one_kind_of_stream() {
+    if vergence_gpu::Instance::new(&vergence_gpu::InstanceDesc::default(), None).is_err() {
+        return skip("vulkan", "no device draws");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let (eyes, log) = (folder.path().join("eyes.toml"), folder.path().join("eyes.mcap"));
+    std::fs::write(&eyes, EYES).expect("written");
+    let record = |device: &str, log: &Path| {
+        let seconds = ["--seconds", "3", "--json"];
+        let output =
+            Command::new(vergence()).args(["record", "--device", device]).arg(log).args(seconds).output();
+        output.expect("the tool starts")
+    };
+    let output = record(&format!("gaze:{}", eyes.display()), &log);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report = last_object(&String::from_utf8_lossy(&output.stdout)).expect("a report");
+    assert_eq!((report["streams"].as_u64(), report["dropped"].as_u64()), (Some(2), Some(0)), "{report}");
+
+    let mut source = LogSource::new(Reader::open(&log).expect("a log"));
+    let (worn, of_worn) = gazes(all(&mut source, Timestamp::from_nanos(i64::MAX)));
+    let (desk, of_desk) = of_a_tracker();
+    assert_eq!((worn.name.as_str(), desk.name.as_str()), ("gaze/gaze", "gaze"));
+    // One type, which differs in what the coordinates are of.
+    assert_eq!((&*worn.frame, &*desk.frame), ("local", "display"));
+    assert_eq!(worn.kind, desk.kind);
+
+    // Between the eyes, and from there to the point: y is up.
+    assert_eq!(of_desk.len(), 20);
+    for sample in &of_desk {
+        assert!((sample.value.origin - Point3::new(0.3, -0.1, 0.6)).norm() < 1e-9, "{sample:?}");
+        let towards = Vector3::new(0.0, -0.1, -0.6).normalize();
+        assert!((sample.value.direction.into_inner() - towards).norm() < 1e-9, "{sample:?}");
+    }
+    // To the left of straight ahead and level, by as many degrees as seconds have passed.
+    assert!(of_worn.len() > 5, "{} gazes in 3 s", of_worn.len());
+    let left_deg = |gaze: &Gaze| (-gaze.direction.x).atan2(-gaze.direction.z).to_degrees();
+    let first = &of_worn[0];
+    for sample in &of_worn {
+        assert!(
+            sample.value.direction.y.abs() < 1e-4 && sample.value.origin.coords.norm() < 0.1,
+            "{sample:?}"
+        );
+        let turned = left_deg(&sample.value) - left_deg(&first.value);
+        let passed = sample.captured.since(first.captured).expect("it is later").as_secs_f64();
+        // A machine that is busy between two looks at the clock is off by that.
+        assert!((turned - passed).abs() < 0.5, "{turned} degrees in {passed} s");
+    }
+
+    let output = record("gaze:no such motion", &folder.path().join("none.mcap"));
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(2) && err.contains("no such motion"), "{err}");
 }

@@ -84,12 +84,24 @@ struct Work {
     curve: Curve,
     scale: f64,
     smoother: Smoother<2>,
+    /// What is smoothed, as last said: it is held until something else is.
+    held: [f64; 2],
     chooses: Option<Chooses>,
     /// Its button is down, whether it counts or not.
     is_down: bool,
     /// And it went down while its chord was held and no longer one.
     is_latched: bool,
     out: [f64; 2],
+}
+
+impl Work {
+    /// Brings what comes out up to `at`. Rest is rest at once, whatever the filter: nothing creeps after a stick is let go.
+    fn smooth(&mut self, at: Timestamp) {
+        if self.held == [0.0; 2] {
+            self.smoother.reset();
+        }
+        self.out = self.smoother.update(at, self.held);
+    }
 }
 
 /// Bindings at work. Feeding allocates nothing, except for text.
@@ -156,6 +168,7 @@ impl Mapper {
                     curve: bind.curve.clone(),
                     scale: bind.scale,
                     smoother: bind.smoothing.smoother()?,
+                    held: [0.0; 2],
                     chooses: bind.chooses,
                     is_down: false,
                     is_latched: false,
@@ -299,6 +312,21 @@ impl Mapper {
         &self.changed
     }
 
+    /// Lets time pass up to `at`, and gives the actions that changed: what is held goes on through its filter. Devices say changes
+    /// only; without this, a stick that is held still stays where the filter was when it stopped. Once a frame.
+    pub fn advance(&mut self, at: Timestamp) -> &[usize] {
+        self.changed.clear();
+        for place in 0..self.works.len() {
+            let work = &mut self.works[place];
+            if work.smoother.is_none() || work.out == work.held {
+                continue;
+            }
+            work.smooth(at);
+            self.settle(self.works[place].action);
+        }
+        &self.changed
+    }
+
     fn number(&self, source: &Source) -> f64 {
         match (&self.stored[source.input], source.component) {
             (Stored::Number(x), _) => *x,
@@ -382,7 +410,8 @@ impl Mapper {
                     let factor = work.curve.apply(length) / length;
                     [x * factor, y * factor]
                 };
-                work.out = work.smoother.update(at, bent.map(|x| x * work.scale));
+                work.held = bent.map(|x| x * work.scale);
+                work.smooth(at);
             }
             Logical::Pose | Logical::Pick | Logical::String => {
                 work.is_latched = counts && is_watched;

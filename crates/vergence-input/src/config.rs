@@ -176,6 +176,18 @@ mod tests {
     }
 
     #[test]
+    fn the_example_of_the_documentation_is_a_configuration() {
+        let text = include_str!("../MAPPING.md");
+        let example = text.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+        let raw: Raw = toml::from_str(example).unwrap();
+        assert_eq!(
+            (raw.serial.baud, raw.hid.mappings.len(), raw.serial.streams.len()),
+            (Some(921_600), 1, 1)
+        );
+        assert!(raw.desktop.extra_mouse_buttons && raw.serial.columns.is_some());
+    }
+
+    #[test]
     fn a_file_says_what_a_device_does_not() {
         let text = "[serial]\nbaud = 921600\nleast_latency = \"2 ms\"\n[serial.streams]\n1 = \"imu imu i16 0.001\"\n";
         let config = config(text).expect("written");

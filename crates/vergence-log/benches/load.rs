@@ -1,7 +1,7 @@
 //! A full load: 20 streams with 30,000 samples a second in all, and two cameras of 640×480 at 30 Hz.
 //!
 //! `cargo bench -p vergence-log --bench load` prints how the writer stands beside the bare `mcap` crate, what a minute of that load
-//! costs, and how fast it is read again; `-- quick` makes the minute five seconds, `-- replay` reads only.
+//! costs, and how fast it is read again; `-- quick` makes the minute five seconds, `-- load` does that only, `-- replay` reads only.
 #![allow(clippy::unwrap_used, reason = "a benchmark stops where something is not as expected")]
 
 use std::collections::BTreeMap;
@@ -261,17 +261,22 @@ fn again(path: &Path) {
 }
 
 fn main() {
-    let is_quick = std::env::args().any(|argument| argument == "quick");
+    let has = |wanted: &str| std::env::args().any(|argument| argument == wanted);
+    let seconds = if has("quick") { 5 } else { 60 };
     // Memory-backed, where there is such a folder: it is the writer that is measured, not the disk.
     let shared = Path::new("/dev/shm");
     let folder = if shared.is_dir() { tempfile::tempdir_in(shared) } else { tempfile::tempdir() }.unwrap();
     let pictures = pictures();
-    if std::env::args().any(|argument| argument == "replay") {
+    if has("replay") {
         return again(&folder.path().join("again.mcap"));
     }
-    throughput(folder.path(), &pictures);
     // A minute of pictures is more than a memory-backed folder should be asked for.
     let disk = tempfile::tempdir().unwrap();
-    minute(&disk.path().join("minute.mcap"), if is_quick { 5 } else { 60 }, &pictures);
+    let minute = || minute(&disk.path().join("minute.mcap"), seconds, &pictures);
+    if has("load") {
+        return minute();
+    }
+    throughput(folder.path(), &pictures);
+    minute();
     again(&folder.path().join("again.mcap"));
 }

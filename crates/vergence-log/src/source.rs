@@ -14,6 +14,7 @@ use crate::message::{Message, Stream, StreamDesc, Times};
 use crate::messages::Compressed;
 use crate::reader::{Entry, Reader, StreamInfo};
 use crate::recorder::Recorder;
+use crate::writer::StreamRecord;
 
 /// A recorded stream of any kind.
 enum Any {
@@ -202,6 +203,19 @@ impl LogSource {
     /// Why the log could not be read to its end, once.
     pub fn failure(&mut self) -> Option<Error> {
         self.failure.take()
+    }
+
+    /// Whether this is a stream of a kind that sources have.
+    pub fn reads(stream: &StreamInfo) -> bool {
+        kind_of(stream).is_some()
+    }
+
+    /// How many streams of a kind that sources have were recorded, as far as the log was read: with those that never said anything,
+    /// which are not among [`Source::streams`], and without what the recorder says itself.
+    pub fn announced(&self) -> usize {
+        let of_a_source =
+            |stream: &&Arc<StreamInfo>| stream.name != StreamRecord::OWN && kind_of(stream).is_some();
+        self.reader.streams().filter(of_a_source).count()
     }
 
     /// The log's reader.

@@ -16,7 +16,7 @@ use crate::capture::Picture;
 use crate::desk::Desk;
 use crate::error::{Error, with_cause};
 use crate::foresight;
-use crate::guest::{self, Stage};
+use crate::guest::{self, Offered, Stage};
 use crate::headset::Chosen;
 use crate::markers::Markers;
 use crate::place;
@@ -234,6 +234,9 @@ fn start(run: &mut Run<'_>, chosen: &Chosen) -> Result<Session, Error> {
     }
     if run.config.eye_gaze && !client.reads_gaze() {
         run.warn(&format!("the gaze is not read: {runtime} does not offer it"));
+    }
+    if let Some(guest) = &mut run.guest {
+        guest.begins(Offered { gaze: client.reads_gaze(), hand_joints: client.reads_hand_joints() });
     }
     if !std::mem::replace(&mut run.has_booked, true) {
         run.book = open_book(run, chosen, &client);

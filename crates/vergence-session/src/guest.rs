@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use vergence_geom::{Affine, Ray, Rigid};
 use vergence_render::Renderer;
-use vergence_sense::{Button, Hand, Haptic};
+use vergence_sense::{Button, Gaze, Hand, Haptic};
 use vergence_time::{Span, Timestamp};
 use vergence_xr::{Client, Reading};
 use vergence_xr_sim::PoseProvider;
@@ -26,6 +26,27 @@ pub struct Moment {
     pub selects: [bool; 2],
     /// Where the user looks, where that is read.
     pub gaze: Option<Ray>,
+    /// The same as the runtime says it.
+    pub told_gaze: Option<ToldGaze>,
+}
+
+/// A gaze, before it is placed in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToldGaze {
+    /// In the runtime's LOCAL space: y up, −z ahead, its origin where the headset was when it was last recentred.
+    pub in_local: Gaze,
+    /// When it was measured, and when it was asked for, both on the runtime's clock; the first is to come where the runtime
+    /// predicts. `None` where the runtime does not say it.
+    pub times: Option<(Timestamp, Timestamp)>,
+}
+
+/// What the runtime of a session offers of what was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Offered {
+    /// Where the user looks.
+    pub gaze: bool,
+    /// The joints of the hands.
+    pub hand_joints: bool,
 }
 
 /// What a guest may change, from this frame on.
@@ -63,6 +84,11 @@ pub trait Guest {
         None
     }
 
+    /// A session has begun; after a loss, another one.
+    fn begins(&mut self, offered: Offered) {
+        let _ = offered;
+    }
+
     /// One frame. Whether the run goes on.
     fn follow(&mut self, now: &Moment, stage: &mut Stage<'_>) -> bool;
 }
@@ -83,6 +109,7 @@ pub(crate) fn moment(
         })
     };
     let select = client.action("select");
+    let gaze = client.gaze();
     Moment {
         display,
         period,
@@ -93,9 +120,10 @@ pub(crate) fn moment(
             let read = select.and_then(|action| client.reading(action, hand));
             matches!(read, Some(Reading::Button(Button(Some(true)))))
         }),
-        gaze: client.gaze().map(|gaze| Ray {
+        gaze: gaze.map(|gaze| Ray {
             origin: world_from_local * gaze.origin,
             direction: world_from_local.rotation * gaze.direction,
         }),
+        told_gaze: gaze.map(|in_local| ToldGaze { in_local, times: client.gaze_sampled().zip(client.now()) }),
     }
 }

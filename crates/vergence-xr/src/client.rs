@@ -687,6 +687,12 @@ impl Client {
         self.input.as_ref()?.gaze()
     }
 
+    /// When that gaze was measured, on the runtime's clock; `None` where the runtime does not say it. May be to come, where the
+    /// runtime predicts.
+    pub fn gaze_sampled(&self) -> Option<Timestamp> {
+        self.input.as_ref()?.gaze_sampled()
+    }
+
     /// The joints of a hand in LOCAL space, as of the last [`Self::sync_input`].
     pub fn hand_joints(&self, hand: Hand) -> Option<&HandJoints> {
         self.joints.as_ref()?.joints(hand)

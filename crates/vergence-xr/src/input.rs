@@ -1,6 +1,6 @@
 //! Actions: from names to what the hands do now.
 
-use openxr::{Path, Posef};
+use openxr::{Path, Posef, sys};
 use vergence_action::{Action, ActionSet, Kind, PROFILES, suggestions};
 use vergence_sense::{Axis, Body, Button, ControlState, Gaze, Hand, Haptic, Pose, Said, Vector2};
 use vergence_time::Timestamp;
@@ -53,6 +53,7 @@ pub(crate) struct Input {
     hands: [Path; 2],
     gaze: Option<(openxr::Action<Posef>, openxr::Space)>,
     gaze_pose: Pose,
+    gaze_sampled: Option<Timestamp>,
     accepted: Vec<&'static str>,
 }
 
@@ -116,6 +117,7 @@ impl Input {
             hands,
             gaze,
             gaze_pose: Pose::LOST,
+            gaze_sampled: None,
             accepted,
         }))
     }
@@ -147,14 +149,16 @@ impl Input {
         }
         if let Some((action, space)) = &self.gaze {
             let is_active = ear.answer(Call::GetActionStatePose, action.is_active(session, Path::NULL))?;
-            self.gaze_pose = if is_active {
-                let located = ear.answer(Call::LocateSpace, space.locate(local, time))?;
-                let location = raw_location(located.location_flags, &located.pose);
+            (self.gaze_pose, self.gaze_sampled) = (Pose::LOST, None);
+            if is_active {
+                let (located, sampled) = locate_gaze(session, space, local, time);
+                let located = ear.answer(Call::LocateSpace, located)?;
+                let flags = located.location_flags;
+                let location = raw_location(flags, &located.pose);
                 ear.hear(|| Said::Place { of: Body::Gaze, at, location });
-                convert::pose(located.location_flags, &located.pose)
-            } else {
-                Pose::LOST
-            };
+                self.gaze_pose = convert::pose(flags, &located.pose);
+                self.gaze_sampled = sampled;
+            }
         }
         Ok(())
     }
@@ -173,6 +177,11 @@ impl Input {
 
     pub(crate) fn gaze(&self) -> Option<Gaze> {
         Gaze::of(&self.gaze_pose)
+    }
+
+    /// When the gaze was measured, on the runtime's clock, where that says it.
+    pub(crate) fn gaze_sampled(&self) -> Option<Timestamp> {
+        self.gaze_sampled
     }
 
     pub(crate) fn accepted_profiles(&self) -> &[&'static str] {
@@ -217,6 +226,35 @@ impl Input {
         let known = PROFILES.iter().find(|profile| profile.path == text);
         Some(known.map_or(text, |profile| profile.name.to_owned()))
     }
+}
+
+/// Where the eyes look, and for when the runtime knows that: the tracker's own rate is not the display's.
+fn locate_gaze(
+    session: &Session,
+    space: &openxr::Space,
+    local: &openxr::Space,
+    time: openxr::Time,
+) -> (Result<sys::SpaceLocation, sys::Result>, Option<Timestamp>) {
+    let mut sampled = sys::EyeGazeSampleTimeEXT {
+        ty: sys::EyeGazeSampleTimeEXT::TYPE,
+        next: std::ptr::null_mut(),
+        time: sys::Time::from_nanos(0),
+    };
+    let mut location = sys::SpaceLocation {
+        ty: sys::SpaceLocation::TYPE,
+        next: (&raw mut sampled).cast(),
+        location_flags: sys::SpaceLocationFlags::EMPTY,
+        pose: convert::IDENTITY,
+    };
+    let locate = session.instance().fp().locate_space;
+    // SAFETY: both spaces are of the session, which lives; the structures say what they are and live through the call.
+    let result = unsafe { locate(space.as_raw(), local.as_raw(), time, &raw mut location) };
+    if result.into_raw() < 0 {
+        return (Err(result), None);
+    }
+    // Zero is said where nothing was measured.
+    let sampled = Some(sampled.time.as_nanos()).filter(|nanos| *nanos != 0);
+    (Ok(location), sampled.map(Timestamp::from_nanos))
 }
 
 fn create(

@@ -9,6 +9,7 @@ use std::time::Instant;
 
 use vergence_input::Found;
 use vergence_sense::{Progress, Reading, Sample, Sink, Source, SourceStream};
+use vergence_session::{GazeSource, HeadsetChoice, RunConfig};
 use vergence_time::{Clock, HostClock, Span};
 
 use crate::failure::Failure;
@@ -24,7 +25,10 @@ pub struct Args {
 enum Verb {
     /// What is plugged in, which adapter reads it, what stands in the way and the command that mends it
     List {
-        /// Prints one JSON object: an array of devices
+        /// How devices are read: HID mappings count here
+        #[arg(long, value_name = "FILE")]
+        config: Option<PathBuf>,
+        /// Prints one JSON array of devices
         #[arg(long)]
         json: bool,
     },
@@ -34,22 +38,32 @@ enum Verb {
 
 #[derive(clap::Args)]
 struct Monitor {
-    /// Paths, or parts of names; as for `record --device` [default: every device that can be read]
+    /// Paths, parts of names, serial:PATH, desktop, gaze or gaze:MOTION; as for `record --device` [default: every device that is
+    /// listed and can be read]
     #[arg(value_name = "DEVICE")]
     devices: Vec<String>,
-    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings, extra mouse buttons
+    /// How devices are read: baud rate, streams of devices that do not describe themselves, HID mappings, extra mouse buttons; all keys
+    /// are in crates/vergence-input/MAPPING.md
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Ends after so many seconds [default: with Ctrl-C]
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     seconds: Option<f64>,
+}
+
+/// Reads how long something lasts.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("expected a positive number of seconds".into()),
+    }
 }
 
 impl Args {
     /// Does it.
     pub fn run(self) -> Result<(), Failure> {
         match self.verb {
-            Verb::List { json } => list(json),
+            Verb::List { config, json } => list(config.as_ref(), json),
             Verb::Monitor(monitor) => monitor.run(),
         }
     }
@@ -63,14 +77,22 @@ pub fn failed(error: &vergence_input::Error) -> Failure {
     }
 }
 
-fn list(json: bool) -> Result<(), Failure> {
-    let found = vergence_input::found(&vergence_input::Config::default());
+fn list(config: Option<&PathBuf>, json: bool) -> Result<(), Failure> {
+    let config = config.map(|path| vergence_input::Config::read(path)).transpose().map_err(|e| failed(&e))?;
+    let config = config.unwrap_or_default();
+    let mut found = vergence_input::found(&config);
+    // Last: nothing reads them yet.
+    found.extend(vergence_input::hid::unmapped(&config));
     if json {
         println!("{}", serde_json::to_string(&found).map_err(|error| Failure::work(&error))?);
         return Ok(());
     }
     if found.is_empty() {
-        println!("No gamepad, HID device with a mapping, or serial device is plugged in.");
+        println!("No gamepad, HID device with a mapping, or USB serial device is plugged in.");
+        println!(
+            "What is not listed is read by its name: serial:PATH (a port without USB), desktop (keyboard, mouse and touches of a \
+             window), gaze (of an OpenXR headset)."
+        );
         return Ok(());
     }
     for device in found {
@@ -111,11 +133,19 @@ pub fn open(
     let devices: Vec<Found> = if names.is_empty() {
         vergence_input::found(&config).into_iter().filter(|device| device.problem.is_none()).collect()
     } else {
-        let each = names.iter().map(|name| vergence_input::find(name, &config));
+        let each = names.iter().map(|name| match eyes(name) {
+            Some(found) => Ok(found),
+            None => vergence_input::find(name, &config),
+        });
         each.collect::<Result<_, _>>().map_err(|error| failed(&error))?
     };
     let mut opened: Vec<Opened> = Vec::new();
     for device in devices {
+        if device.adapter == GAZE {
+            let source = Box::new(open_gaze(&device.path, clock)?);
+            opened.push(Opened { name: unused(&opened, GAZE), device, source });
+            continue;
+        }
         let source = match vergence_input::open(&device, &config, clock.clone()) {
             Ok(source) => source,
             Err(error) if names.is_empty() => {
@@ -132,14 +162,7 @@ pub fn open(
             .collect();
         let base = base.trim_matches('_').to_owned();
         let base = if base.is_empty() { device.adapter.to_owned() } else { base };
-        let taken = |name: &str| opened.iter().any(|other| other.name == name);
-        let mut name = base.clone();
-        for number in 2.. {
-            if !taken(&name) {
-                break;
-            }
-            name = format!("{base}_{number}");
-        }
+        let name = unused(&opened, &base);
         opened.push(Opened { name, device, source });
     }
     if opened.is_empty() {
@@ -151,10 +174,36 @@ pub fn open(
     Ok(opened)
 }
 
-/// `true` once Ctrl-C was pressed, or the process asked to end; a second time ends it at once.
+/// `base`, with a number where another device has that name.
+fn unused(opened: &[Opened], base: &str) -> String {
+    let taken = |name: &str| opened.iter().any(|other| other.name == name);
+    let numbered = (2u32..).map(|number| format!("{base}_{number}"));
+    let mut names = std::iter::once(base.to_owned()).chain(numbered);
+    names.find(|name| !taken(name)).unwrap_or_else(|| base.to_owned())
+}
+
+/// Adapter, and name of the streams, of where the wearer of a headset looks.
+const GAZE: &str = "gaze";
+
+/// The eyes of who wears a headset: `gaze` the one that the system's OpenXR runtime has, `gaze:MOTION` the simulated one, moved so.
+fn eyes(name: &str) -> Option<Found> {
+    let is_gaze = name == GAZE || name.strip_prefix(GAZE).is_some_and(|rest| rest.starts_with(':'));
+    let found = || Found { streams: vec![GAZE.to_owned()], ..Found::new(GAZE, name.to_owned()) };
+    is_gaze.then(found)
+}
+
+fn open_gaze(name: &str, clock: &Arc<dyn Clock>) -> Result<GazeSource, Failure> {
+    let motion = name.split_once(':').map(|(_, motion)| motion.to_owned());
+    let headset = if motion.is_some() { HeadsetChoice::Simulated } else { HeadsetChoice::OpenXr };
+    let config = RunConfig { headset, motion, ..RunConfig::default() };
+    GazeSource::open(&config, clock.clone())
+        .map_err(|error| if error.is_wrong_call() { Failure::call(&error) } else { Failure::work(&error) })
+}
+
+/// `true` once Ctrl-C was pressed, the terminal closed, or the process asked to end; a second time ends it at once.
 pub fn interrupted() -> Result<Arc<AtomicBool>, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM, signal_hook::consts::SIGHUP] {
         signal_hook::flag::register_conditional_shutdown(signal, 130, stop.clone())
             .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
             .map_err(|error| Failure::work(&error))?;
@@ -176,6 +225,8 @@ struct Screen {
     names: Vec<String>,
     seen: BTreeMap<usize, Seen>,
     gaps: u64,
+    /// The device will never say anything more.
+    is_over: bool,
 }
 
 impl Sink for Screen {
@@ -214,7 +265,7 @@ pub fn words(reading: &Reading<'_>) -> String {
         Reading::Touch(touch) => {
             format!("{} {:?} {}", touch.contact, touch.phase, list(&touch.position)).to_lowercase()
         }
-        Reading::Scalar(scalar) => format!("{}", scalar.0),
+        Reading::Scalar(scalar) => scalar.0.to_string(),
         Reading::Imu(imu) => format!(
             "gyr {}  acc {}{}",
             list(imu.gyr_rad_s.as_slice()),
@@ -254,21 +305,36 @@ impl Monitor {
         let live = std::io::stdout().is_terminal();
         let (mut drawn_at, mut lines) = (Instant::now(), 0);
         let share = Span::from_millis((100 / i64::try_from(opened.len()).unwrap_or(100)).max(1));
-        let is_over = || {
-            stop.load(std::sync::atomic::Ordering::Relaxed)
+        let mut left = opened.len();
+        let is_over = |left: usize| {
+            left == 0
+                || stop.load(std::sync::atomic::Ordering::Relaxed)
                 || self.seconds.is_some_and(|seconds| start.elapsed().as_secs_f64() >= seconds)
         };
-        while !is_over() {
-            for (device, screen) in opened.iter_mut().zip(&mut screens) {
+        while !is_over(left) {
+            for (device, screen) in opened.iter_mut().zip(&mut screens).filter(|(_, screen)| !screen.is_over)
+            {
                 let until = clock.now().saturating_add(share);
-                while clock.now() < until && device.source.advance(until, screen) == Progress::Gave {}
+                while clock.now() < until {
+                    match device.source.advance(until, screen) {
+                        Progress::Gave => {}
+                        Progress::Idle => break,
+                        Progress::Ended => {
+                            (screen.is_over, left) = (true, left - 1);
+                            break;
+                        }
+                    }
+                }
             }
             let elapsed = drawn_at.elapsed().as_secs_f64();
-            if elapsed >= if live { 0.25 } else { 1.0 } {
+            if left == 0 || elapsed >= if live { 0.25 } else { 1.0 } {
                 let text = draw(&opened, &mut screens, elapsed);
                 let up = if live && lines > 0 { format!("\x1b[{lines}A\x1b[J") } else { String::new() };
                 lines = text.lines().count();
-                if write!(std::io::stdout().lock(), "{up}{text}").is_err() {
+                // A row that is wider than the terminal is cut: one that is wrapped would be two.
+                let text = if live { format!("{up}\x1b[?7l{text}\x1b[?7h") } else { text };
+                print!("{text}");
+                if std::io::stdout().flush().is_err() {
                     // Whoever listened has gone.
                     break;
                 }
@@ -280,15 +346,16 @@ impl Monitor {
 }
 
 fn draw(opened: &[Opened], screens: &mut [Screen], elapsed: f64) -> String {
-    let mut text = String::new();
+    let mut text = format!("  {:24} {:>11} {:>11}  values\n", "stream", "rate", "latency");
     for (device, screen) in opened.iter().zip(screens) {
-        text += &format!("{} ({}), {} gaps\n", device.name, device.device.path, screen.gaps);
+        let ended = if screen.is_over { ", ended" } else { "" };
+        text += &format!("{} ({}), {} gaps{ended}\n", device.device.name, device.device.path, screen.gaps);
         for (place, seen) in &mut screen.seen {
             let stream = device.source.streams().get(*place);
-            let name = stream.map_or("?", |stream| stream.name.as_str());
+            let (name, unit) = stream.map_or(("?", ""), |stream| (stream.name.as_str(), &*stream.unit));
             let rate = (seen.count - seen.since) as f64 / elapsed;
             seen.since = seen.count;
-            text += &format!("  {name:24} {rate:8.1} Hz {:8.2} ms  {}\n", seen.delay_ms, seen.value);
+            text += &format!("  {name:24} {rate:8.1} Hz {:8.2} ms  {} {unit}\n", seen.delay_ms, seen.value);
         }
     }
     text

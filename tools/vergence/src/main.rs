@@ -136,7 +136,9 @@ fn main() -> ExitCode {
     live_through_full_files();
     let cli = Cli::parse();
     logging::start(cli.verbose);
-    if cli.verbose == 0 && matches!(cli.verb, Verb::Run(_) | Verb::Doctor(_)) {
+    if cli.verbose == 0
+        && matches!(cli.verb, Verb::Run(_) | Verb::Doctor(_) | Verb::Record(_) | Verb::Devices(_))
+    {
         quiet_loader();
     }
     match cli.verb.run() {

@@ -66,6 +66,17 @@ impl Args {
     /// Replays the session and prints how that went.
     pub fn run(self) -> Result<(), Failure> {
         if self.print.is_some() || crate::record::is_of_devices(&self.log) {
+            let drawn = [
+                ("--verify", self.verify),
+                ("--validate", self.validate),
+                ("--capture", self.capture.is_some()),
+                ("--scene", self.scene.is_some()),
+            ];
+            if let Some((option, _)) = drawn.iter().find(|(_, given)| *given) {
+                let why =
+                    if self.print.is_some() { "--print draws nothing" } else { "this one has no scene" };
+                return Err(Failure::Call(format!("{option} is for a recording of a scene: {why}")));
+            }
             return crate::record::replay(&self.log, self.speed.0, self.print.as_deref(), self.json);
         }
         let failed = |error: vergence_session::Error| {

@@ -26,7 +26,7 @@ impl DoubleExponentialParams {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct DoubleExponential<const N: usize> {
     params: DoubleExponentialParams,
     once: [f64; N],

@@ -26,7 +26,7 @@ pub(super) fn weight(cutoff_hz: f64, passed_s: f64) -> f64 {
     if relative.is_finite() { relative / (1.0 + relative) } else { 1.0 }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct LowPass<const N: usize> {
     params: LowPassParams,
     smooth: [f64; N],

@@ -1,8 +1,9 @@
 //! Smoothing of what devices say: less jitter for more lag, in physical terms.
 //!
 //! All filters are fed samples with their times, at any rate; they read no clock and allocate nothing. Of `N` numbers at once,
-//! such as the three of a position: the one euro filter then judges the speed of the whole. A sample that is not finite, or not
-//! later than the one before, changes nothing; the last result is given again.
+//! such as the three of a position: the one euro filter then judges the speed of the whole. A sample that is not finite changes
+//! nothing; the last result is given again. One that is not later than the one before takes its place: of what a device says at
+//! once, the last holds.
 //!
 //! What each knob costs in lag and gains in steadiness, on recorded motion: `vergence trade filters`.
 
@@ -70,7 +71,7 @@ impl Smoothing {
             Self::DoubleExponential(params) => State::DoubleExponential(DoubleExponential::new(params)),
             Self::OneEuro(params) => State::OneEuro(OneEuro::new(params)),
         };
-        Ok(Smoother { state, last: None })
+        Ok(Smoother { state, last: None, before: None })
     }
 }
 
@@ -96,11 +97,15 @@ fn first_fault(knobs: &[(&'static str, f64, f64, f64, &'static str)]) -> Option<
 #[derive(Clone, Debug)]
 pub struct Smoother<const N: usize> {
     state: State<N>,
-    /// The last sample's time, and what came out.
-    last: Option<(Timestamp, [f64; N])>,
+    last: Last<N>,
+    /// Both as they were before the last sample, which another one may take the place of.
+    before: Option<(State<N>, Last<N>)>,
 }
 
-#[derive(Clone, Debug)]
+/// The last sample's time, and what came out.
+type Last<const N: usize> = Option<(Timestamp, [f64; N])>;
+
+#[derive(Clone, Copy, Debug)]
 enum State<const N: usize> {
     None,
     LowPass(LowPass<N>),
@@ -109,18 +114,25 @@ enum State<const N: usize> {
 }
 
 impl<const N: usize> Smoother<N> {
+    /// Whether it gives what it is given.
+    pub const fn is_none(&self) -> bool {
+        matches!(self.state, State::None)
+    }
+
     /// Feeds one sample and gives the smoothed value at its time. The first one passes as it is.
     pub fn update(&mut self, at: Timestamp, value: [f64; N]) -> [f64; N] {
         if !value.iter().all(|x| x.is_finite()) {
             return self.last.map_or([0.0; N], |(_, smooth)| smooth);
         }
-        let passed_s = match self.last {
-            None => None,
-            Some((before, smooth)) => match at.since(before) {
-                Some(passed) if passed > Span::default() => Some(passed.as_secs_f64()),
-                _ => return smooth,
-            },
-        };
+        let mut at = at;
+        match (self.last, self.before) {
+            (Some((latest, _)), Some((state, last))) if at <= latest => {
+                at = latest;
+                (self.state, self.last) = (state, last);
+            }
+            _ => self.before = Some((self.state, self.last)),
+        }
+        let passed_s = self.last.and_then(|(before, _)| at.since(before)).map(Span::as_secs_f64);
         let smooth = match &mut self.state {
             State::None => value,
             State::LowPass(filter) => filter.update(passed_s, value),
@@ -139,6 +151,6 @@ impl<const N: usize> Smoother<N> {
     /// Forgets what it has seen: after a loss, or a jump that is none of the device's.
     pub fn reset(&mut self) {
         // The next sample is the first one again: no filter then reads what it kept.
-        self.last = None;
+        (self.last, self.before) = (None, None);
     }
 }

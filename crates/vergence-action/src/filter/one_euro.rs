@@ -32,7 +32,7 @@ impl OneEuroParams {
     }
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct OneEuro<const N: usize> {
     params: OneEuroParams,
     smooth: [f64; N],

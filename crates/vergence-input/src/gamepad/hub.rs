@@ -11,6 +11,7 @@ use gilrs::{Axis, Button, EventType, GamepadId, Gilrs, GilrsBuilder, LinuxGamepa
 use vergence_time::{Clock, Timestamp};
 
 use super::node::{Kind, Node, look_up_node, nodes, present};
+use super::reading::stamped_by_wall_clock;
 use crate::claim::Claim;
 use crate::found::Found;
 
@@ -42,7 +43,8 @@ pub(super) enum Signal {
         value: f32,
         /// The kernel's type and code of the input.
         input: (u16, u16),
-        /// By the reader's clock, when gilrs gave it.
+        /// By the reader's clock, when the kernel had it, and when gilrs gave it.
+        captured: Timestamp,
         arrived: Timestamp,
         /// The kernel's, which is equal for what changed at once; of no other use, for it is of the wall clock.
         stamp: SystemTime,
@@ -238,7 +240,8 @@ impl Hub {
                 let input = ((code >> 16) as u16, code as u16);
                 for reader in self.of(id) {
                     let arrived = reader.clock.now();
-                    reader.change(Signal::Changed { element, value, input, arrived, stamp });
+                    let captured = stamped_by_wall_clock(stamp, arrived);
+                    reader.change(Signal::Changed { element, value, input, captured, arrived, stamp });
                 }
             }
             event = self.gilrs.as_mut().and_then(Gilrs::next_event);

@@ -52,11 +52,17 @@ impl OpenNode {
 /// When, on the session's clock, which reads `now`, the kernel stamped an event; `now` itself where it stamped with another clock
 /// than the monotonic one.
 pub(super) fn stamped(stamp: SystemTime, now: Timestamp) -> Timestamp {
-    now.saturating_add(Span::from_nanos(-age(stamp).as_nanos()))
+    now.saturating_add(Span::from_nanos(-age(stamp, rustix::time::ClockId::Monotonic).as_nanos()))
 }
 
-fn age(stamp: SystemTime) -> Span {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+/// The same of a stamp of the wall clock, of which only the difference counts: one that was set meanwhile, by more than an event may
+/// wait, is not believed.
+pub(super) fn stamped_by_wall_clock(stamp: SystemTime, now: Timestamp) -> Timestamp {
+    now.saturating_add(Span::from_nanos(-age(stamp, rustix::time::ClockId::Realtime).as_nanos()))
+}
+
+fn age(stamp: SystemTime, clock: rustix::time::ClockId) -> Span {
+    let now = rustix::time::clock_gettime(clock);
     let now = i128::from(now.tv_sec) * 1_000_000_000 + i128::from(now.tv_nsec);
     let stamp = stamp
         .duration_since(SystemTime::UNIX_EPOCH)

@@ -62,8 +62,8 @@ pub struct GamepadSource {
     state: State,
     /// As said last.
     said: State,
-    /// Of what has changed and is not said: when it arrived, and the kernel's stamp.
-    pending: Option<(Timestamp, SystemTime)>,
+    /// Of what has changed and is not said: when the kernel had it and when it arrived, and the kernel's stamp.
+    pending: Option<(Timestamp, Timestamp, SystemTime)>,
 }
 
 impl GamepadSource {
@@ -238,11 +238,11 @@ impl GamepadSource {
         match signal {
             Signal::Connected(node) => self.connect(&node, sink),
             Signal::Lost => self.lose(sink),
-            Signal::Changed { element, value, input, arrived, stamp } => {
+            Signal::Changed { element, value, input, captured, arrived, stamp } => {
                 // What has one stamp changed at once.
-                let is_another = self.pending.is_some_and(|(_, own)| own != stamp);
+                let is_another = self.pending.is_some_and(|(.., own)| own != stamp);
                 let gave = is_another && self.say_pending(sink);
-                self.pending.get_or_insert((arrived, stamp));
+                self.pending.get_or_insert((captured, arrived, stamp));
                 self.take(element, value, input);
                 return gave;
             }
@@ -252,9 +252,9 @@ impl GamepadSource {
     }
 
     fn say_pending(&mut self, sink: &mut dyn Sink) -> bool {
-        let Some((arrived, _)) = self.pending.take() else { return false };
+        let Some((captured, arrived, _)) = self.pending.take() else { return false };
         let has_changed = self.state != self.said;
-        self.say(false, arrived, arrived, sink);
+        self.say(false, captured, arrived, sink);
         has_changed
     }
 

@@ -179,6 +179,23 @@ fn check(bytes: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
+/// The range of a field. Where no number is negative, a maximum that looks so was meant without a sign: `25 FF`, of eight bits, is
+/// 255 for the kernel, and in a great many descriptors.
+fn logical(least: i32, most: i32, bits: usize) -> (i32, i32) {
+    if least < 0 || most >= least {
+        return (least, most);
+    }
+    let written = match most {
+        -128..0 => 8,
+        -32_768..-128 => 16,
+        _ => 32,
+    };
+    // Of ones only it cannot be seen how many were written: as many as the field has, if those are few.
+    let bits = if most == -1 { bits.clamp(8, 32) } else { written };
+    let most = i64::from(most) & (i64::from(u32::MAX) >> (32 - bits));
+    (least, i32::try_from(most).unwrap_or(i32::MAX))
+}
+
 impl Layout {
     /// From a report descriptor.
     ///
@@ -209,7 +226,11 @@ impl Layout {
                     usage: usage(&field.usage),
                     within: field.collections.iter().filter_map(|c| c.usages().first().map(usage)).collect(),
                     slot: Slot { bit: field.bits.start, bits, number },
-                    logical: (i32::from(field.logical_minimum), i32::from(field.logical_maximum)),
+                    logical: logical(
+                        i32::from(field.logical_minimum),
+                        i32::from(field.logical_maximum),
+                        bits,
+                    ),
                     exponent: field.unit_exponent.as_ref().map_or(0, |exponent| exponent.exponent()),
                     unit: field.unit.as_ref().map_or(0, u32::from),
                 });
@@ -244,6 +265,17 @@ pub(super) mod tests {
         let values: Vec<_> = report.fields.iter().map(|field| field.slot.read(&bytes)).collect();
         assert_eq!(values, [Some(-2.0), Some(0.0), Some(100.0), Some(1.0)]);
         assert_eq!(report.fields[2].slot.read(&bytes[..6]), None);
+    }
+
+    #[test]
+    fn a_maximum_that_was_written_without_a_sign_is_one() {
+        assert_eq!(logical(0, -1, 8), (0, 255));
+        assert_eq!(logical(0, -1, 10), (0, 1023));
+        assert_eq!(logical(0, -1, 16), (0, 65_535));
+        assert_eq!(logical(0, -24, 16), (0, 232));
+        assert_eq!(logical(0, i32::from(-30_000i16), 16), (0, 35_536));
+        assert_eq!(logical(-127, 127, 8), (-127, 127));
+        assert_eq!(logical(0, -1, 32), (0, i32::MAX));
     }
 
     #[test]

@@ -114,7 +114,22 @@ pub(super) struct Place {
     pub(super) report: Option<u8>,
     pub(super) slot: Slot,
     pub(super) scale: f64,
-    pub(super) clamp: bool,
+    /// Added to what the scale gives.
+    pub(super) shift: f64,
+    /// An axis: held to −1 to 1, and what is nearer to zero than this is zero.
+    pub(super) axis: Option<f64>,
+}
+
+impl Place {
+    /// The value of the number in a report.
+    pub(super) fn value(&self, number: f64) -> f64 {
+        let value = number * self.scale + self.shift;
+        match self.axis {
+            Some(step) if value.abs() <= step => 0.0,
+            Some(_) => value.clamp(-1.0, 1.0),
+            None => value,
+        }
+    }
 }
 
 /// A stream, in the reports of a device.
@@ -130,7 +145,8 @@ pub(super) struct Resolved {
 pub(super) struct Plan {
     pub(super) streams: Vec<Resolved>,
     pub(super) sequence: Option<Place>,
-    pub(super) time: Option<(Place, u64)>,
+    /// Where, and how many nanoseconds so many ticks are.
+    pub(super) time: Option<(Place, (u64, u64))>,
 }
 
 fn usage(text: &str) -> Result<(u16, u16), String> {
@@ -185,7 +201,7 @@ impl std::str::FromStr for Locator {
 impl Locator {
     /// In the reports of a device: the place, and what the descriptor says of the field.
     fn resolve(&self, layout: &Layout) -> Option<(Place, Option<super::descriptor::FieldLayout>)> {
-        let place = |report, slot| Place { report, slot, scale: 1.0, clamp: false };
+        let place = |report, slot| Place { report, slot, scale: 1.0, shift: 0.0, axis: None };
         match self {
             Self::Bytes { report, slot } => Some((place(*report, *slot), None)),
             Self::Usage { usage, within } => layout.reports.iter().find_map(|report| {
@@ -199,19 +215,70 @@ impl Locator {
     }
 }
 
-/// What a field counts, in SI: the sensor page's usages have units of their own where the descriptor names none.
-fn to_si(field: &super::descriptor::FieldLayout) -> f64 {
-    const SENSORS: u16 = 0x20;
-    let unit = match (field.usage, field.unit) {
-        // g, where nothing or "g" is said.
-        ((SENSORS, 0x0453..=0x0455), 0 | 0x1A) => 9.806_65,
-        // Degrees per second.
-        ((SENSORS, 0x0457..=0x0459), 0 | 0x15) => std::f64::consts::PI / 180.0,
-        // Milligauss, in microteslas.
-        ((SENSORS, 0x0485..=0x0487), 0) => 0.1,
-        _ => 1.0,
+/// The page of sensors.
+const SENSORS: u16 = 0x20;
+const G_M_S2: f64 = 9.806_65;
+
+/// What one of a unit is in SI: nibbles of a system (centimetres, radians, inches or degrees; grams or slugs) and of the powers of
+/// length, mass, time, temperature, current and light (Device Class Definition for HID 1.11, 6.2.2.7). `None` where it is none.
+fn in_si(unit: u32) -> Option<f64> {
+    let (length, mass): (f64, f64) = match unit & 0xF {
+        0 if unit == 0 => return Some(1.0),
+        1 => (0.01, 1e-3),
+        2 => (1.0, 1e-3),
+        3 => (0.0254, 14.593_903),
+        4 => (std::f64::consts::PI / 180.0, 14.593_903),
+        _ => return None,
     };
+    // Four bits, two's complement.
+    let power = |place: u32| ((unit >> (4 * place)) as i32) << 28 >> 28;
+    let is_fahrenheit = unit & 0xF > 2 && power(4) != 0;
+    (unit >> 28 == 0 && !is_fahrenheit).then(|| length.powi(power(1)) * mass.powi(power(2)))
+}
+
+/// What a field counts, in SI (microteslas, of magnetometers): the sensor page's usages have units of their own where the descriptor
+/// names none, and some that are written like no other's (as in the kernel's table of sensors).
+fn to_si(field: &super::descriptor::FieldLayout) -> f64 {
+    let degrees = std::f64::consts::PI / 180.0;
+    let unit = match (field.usage, field.unit) {
+        // g, where nothing or "g" is said; metres per second squared.
+        ((SENSORS, 0x0453..=0x0455), 0 | 0x1A) => Some(G_M_S2),
+        ((SENSORS, 0x0453..=0x0455), 0x11E0) => Some(1.0),
+        // Degrees per second, radians per second.
+        ((SENSORS, 0x0457..=0x0459), 0 | 0x15 | 0xF014) => Some(degrees),
+        ((SENSORS, 0x0457..=0x0459), 0xF012) => Some(1.0),
+        // Milligauss, in microteslas; gauss.
+        ((SENSORS, 0x0485..=0x0487), 0) => Some(0.1),
+        ((SENSORS, 0x0485..=0x0487), 0x01E1_F000) => Some(100.0),
+        ((SENSORS, 0x0485..=0x0487), unit) => in_si(unit).map(|teslas| teslas * 1e6),
+        (_, unit) => in_si(unit),
+    };
+    let unit = unit.unwrap_or_else(|| {
+        let ((page, usage), unit) = (field.usage, field.unit);
+        log::warn!("usage {page:02x}:{usage:04x}: unit {unit:#x} is not understood: its numbers are taken as they are");
+        1.0
+    });
     10f64.powi(i32::from(field.exponent)) * unit
+}
+
+/// An axis that rests in its middle, though all its numbers are positive: X to Rz of the generic desktop page.
+fn rests_in_the_middle(usage: (u16, u16)) -> bool {
+    matches!(usage, (0x01, 0x30..=0x35))
+}
+
+/// Nanoseconds of so many ticks, of a clock that the descriptor says the unit of: seconds, times ten to the exponent.
+fn tick(field: &super::descriptor::FieldLayout) -> Option<(u64, u64)> {
+    const SECONDS: u32 = 0x1001;
+    let is_said = field.unit == SECONDS || (field.unit == 0 && field.exponent != 0);
+    let power = i32::from(field.exponent) + 9;
+    let ten = |power: i32| 10u64.checked_pow(power.unsigned_abs());
+    if !is_said {
+        None
+    } else if power >= 0 {
+        Some((ten(power)?, 1))
+    } else {
+        Some((1, ten(power)?))
+    }
 }
 
 impl Mapping {
@@ -267,7 +334,8 @@ impl Mapping {
             }
             let from = raw.from.get_ref().iter().map(locator).collect::<Result<_, _>>()?;
             let gaze_point = raw.kind.get_ref() == "gaze_point";
-            let stream = SourceStream::new(raw.name, kind).unit(raw.unit);
+            let frame = if gaze_point { "display" } else { "" };
+            let stream = SourceStream::new(raw.name, kind).unit(raw.unit).frame(frame);
             wanted.push(Wanted { stream, gaze_point, from, scale: raw.scale });
         }
         let time = match raw.time {
@@ -333,17 +401,27 @@ impl Mapping {
                 };
                 place.scale = own;
                 if let Some(field) = field {
-                    place.scale *= match wanted.stream.kind {
-                        // What it can be becomes −1 to 1, or 0 to 1.
-                        ReadingKind::Axis | ReadingKind::Vector2 => {
-                            let (low, high) = field.logical;
-                            let most = f64::from(low).abs().max(f64::from(high).abs());
-                            if most > 0.0 { most.recip() } else { 1.0 }
+                    let (low, high) = (f64::from(field.logical.0), f64::from(field.logical.1));
+                    match wanted.stream.kind {
+                        ReadingKind::Axis | ReadingKind::Vector2 if high > low => {
+                            let way = high - low;
+                            if low >= 0.0 && rests_in_the_middle(field.usage) {
+                                place.scale *= 2.0 / way;
+                                place.shift = -own * (low + high) / way;
+                                // The middle of an even count of numbers is between two of them; both are rest.
+                                place.axis = Some(own.abs() / way * 1.000_001);
+                            } else {
+                                // What it can be becomes −1 to 1, or 0 to 1.
+                                place.scale /= low.abs().max(high.abs());
+                                place.axis = Some(0.0);
+                            }
                         }
-                        ReadingKind::Button => 1.0,
-                        _ => to_si(&field),
-                    };
-                    place.clamp = matches!(wanted.stream.kind, ReadingKind::Axis | ReadingKind::Vector2);
+                        ReadingKind::Axis | ReadingKind::Vector2 => place.axis = Some(0.0),
+                        ReadingKind::Button => {}
+                        // Its scale is for descriptors that say nothing.
+                        ReadingKind::Gaze if field.unit != 0 => place.scale = to_si(&field),
+                        _ => place.scale *= to_si(&field),
+                    }
                 }
                 places.push(place);
             }
@@ -353,14 +431,83 @@ impl Mapping {
         Plan {
             streams: self.wanted.iter().filter_map(resolve).collect(),
             sequence: self.sequence.as_ref().and_then(place),
-            time: self.time.as_ref().and_then(|(locator, tick_ns)| Some((place(locator)?, *tick_ns))),
+            time: self.time.as_ref().and_then(|(locator, tick_ns)| {
+                let (place, field) = locator.resolve(layout)?;
+                Some((place, field.as_ref().and_then(tick).unwrap_or((*tick_ns, 1))))
+            }),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::descriptor::FieldLayout;
     use super::*;
+
+    fn field(usage: (u16, u16), unit: u32, exponent: i8, logical: (i32, i32)) -> FieldLayout {
+        let slot = Slot { bit: 0, bits: 16, number: Number::Signed };
+        FieldLayout { usage, within: Vec::new(), slot, logical, exponent, unit }
+    }
+
+    #[test]
+    fn units_are_what_the_descriptor_says() {
+        let degrees = std::f64::consts::PI / 180.0;
+        for (usage, unit, exponent, wanted) in [
+            (0x0457, 0, -2, degrees * 1e-2),
+            (0x0457, 0x15, 0, degrees),
+            (0x0457, 0xF014, -2, degrees * 1e-2),
+            (0x0457, 0xF012, -3, 1e-3),
+            (0x0453, 0, -3, 9.806_65e-3),
+            (0x0453, 0x1A, 0, 9.806_65),
+            (0x0453, 0x11E0, -2, 1e-2),
+            // Centimetres per second squared, by the book; inches.
+            (0x0453, 0xE011, 0, 1e-2),
+            (0x0453, 0xE013, 0, 0.0254),
+            (0x0485, 0, 0, 0.1),
+            (0x0485, 0x01E1_F000, 0, 100.0),
+            // What nobody understands passes as it is.
+            (0x0453, 0x77, 0, 1.0),
+        ] {
+            let found = to_si(&field((0x20, usage), unit, exponent, (0, 0)));
+            assert!((found / wanted - 1.0).abs() < 1e-12, "{usage:x} {unit:x}: {found}, {wanted}");
+        }
+        assert_eq!(tick(&field((0x20, 0x0529), 0x1001, -6, (0, 0))), Some((1000, 1)));
+        assert_eq!(tick(&field((0x20, 0x0529), 0x1001, -10, (0, 0))), Some((1, 10)));
+        assert_eq!(tick(&field((0x20, 0x0529), 0, -6, (0, 0))), Some((1000, 1)));
+        assert_eq!(tick(&field((0x20, 0x0529), 0, 0, (0, 0))), None);
+    }
+
+    #[test]
+    fn axes_rest_at_zero_and_reach_both_ends() {
+        // Usage, logical range, and numbers with what they are.
+        let six = Mapping::shipped().into_iter().find(|mapping| mapping.name == "6-DoF controller").unwrap();
+        let plan = |logical: (i32, i32)| {
+            let fields = vec![field((0x01, 0x30), 0, 0, logical)];
+            let reports = vec![super::super::descriptor::ReportLayout { id: None, bytes: 2, fields }];
+            six.plan(&Layout { reports }).streams[0].places[0]
+        };
+        for (logical, all) in [
+            ((0, 255), vec![(0.0, -1.0), (127.0, 0.0), (128.0, 0.0), (255.0, 1.0), (191.0, 127.0 / 255.0)]),
+            ((0, 1024), vec![(0.0, -1.0), (512.0, 0.0), (1024.0, 1.0), (768.0, 0.5)]),
+            ((-350, 350), vec![(-350.0, -1.0), (0.0, 0.0), (350.0, 1.0), (35.0, 0.1), (400.0, 1.0)]),
+        ] {
+            let place = plan(logical);
+            for (number, wanted) in all {
+                let found = place.value(number);
+                assert!((found - wanted).abs() < 1e-9, "{logical:?}: {number} is {found}, not {wanted}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_example_of_the_documentation_is_a_mapping() {
+        let text = include_str!("../../MAPPING.md");
+        let example =
+            text.split("```toml\n").nth(2).and_then(|rest| rest.split("```").next()).expect("the second");
+        let mapping = Mapping::parse(Path::new("MAPPING.md"), example).unwrap();
+        assert!(mapping.sequence.is_some() && mapping.time.is_some() && mapping.least_latency_s > 0.0);
+        assert_eq!(mapping.streams().collect::<Vec<_>>(), ["imu"]);
+    }
 
     #[test]
     fn what_is_built_in_can_be_read() {

@@ -6,5 +6,5 @@ mod node;
 mod source;
 
 pub use mapping::{Identity, Mapping};
-pub use node::{Reports, found};
+pub use node::{Reports, found, unmapped};
 pub use source::HidSource;

@@ -3,10 +3,12 @@
 use std::collections::BTreeMap;
 use std::ffi::CString;
 use std::io::{Error, ErrorKind};
+use std::path::Path;
 use std::time::Duration;
 
 use hidapi::{HidApi, HidDevice};
 
+use super::descriptor::Layout;
 use super::mapping::{Identity, Mapping};
 use crate::claim::{Claim, is_claimed};
 use crate::config::Config;
@@ -81,16 +83,66 @@ pub(super) fn mappings(config: &Config) -> Vec<Mapping> {
     mappings
 }
 
-/// The HID devices for which there is a mapping.
+/// What the reports of the node at `path` are, as the kernel tells everybody: also who may not open it.
+fn told_layout(path: &str) -> Option<Layout> {
+    let node = Path::new(path).file_name()?;
+    let told = Path::new("/sys/class/hidraw").join(node).join("device/report_descriptor");
+    Layout::parse(&std::fs::read(told).ok()?).ok()
+}
+
+/// The HID devices for which there is a mapping that finds something in their reports, where these are known.
 pub fn found(config: &Config) -> Vec<Found> {
+    let mut all = look_at(config);
+    all.retain(|found| !found.streams.is_empty());
+    all
+}
+
+/// The HID devices that no mapping finds anything of, keyboards, mice and pads left out: their problem says what is in their reports.
+pub fn unmapped(config: &Config) -> Vec<Found> {
+    let mut all = look_at(config);
+    all.retain(|found| found.streams.is_empty());
+    all
+}
+
+/// Pointers, mice, joysticks, pads, keyboards, keypads: what other adapters read.
+fn is_of_others(identity: &Identity) -> bool {
+    identity.usages.iter().any(|usage| matches!(usage, (0x01, 0x01 | 0x02 | 0x04..=0x07)))
+}
+
+fn look_at(config: &Config) -> Vec<Found> {
     let mappings = mappings(config);
-    let mapped = all().into_iter().filter_map(|(mut found, identity)| {
-        let mapping = mappings.iter().find(|mapping| mapping.fits(&identity))?;
-        found.streams = mapping.streams().map(str::to_owned).collect();
-        found.check_access("input");
+    let each = all().into_iter().filter_map(|(mut found, identity)| {
+        let layout = told_layout(&found.path);
+        if let Some(mapping) = mappings.iter().find(|mapping| mapping.fits(&identity)) {
+            found.streams = match &layout {
+                Some(layout) => {
+                    mapping.plan(layout).streams.into_iter().map(|resolved| resolved.stream.name).collect()
+                }
+                None => mapping.streams().map(str::to_owned).collect(),
+            };
+        }
+        if found.streams.is_empty() {
+            if is_of_others(&identity) {
+                return None;
+            }
+            let fields = layout.iter().flat_map(|layout| &layout.reports).flat_map(|report| {
+                let id = report.id.map_or_else(|| "-".to_owned(), |id| id.to_string());
+                report.fields.iter().map(move |field| {
+                    let ((page, usage), slot) = (field.usage, field.slot);
+                    format!("{page:02x}:{usage:02x} (report {id}, bit {}, {} bits)", slot.bit, slot.bits)
+                })
+            });
+            let fields: Vec<String> = fields.take(64).collect();
+            let fields =
+                if fields.is_empty() { "nothing that is known".to_owned() } else { fields.join(", ") };
+            found.problem = Some(format!("no mapping is for it; its reports hold {fields}"));
+            found.remedy = Some("a mapping file, named in --config (MAPPING.md)".to_owned());
+        } else {
+            found.check_access("input");
+        }
         Some(found)
     });
-    mapped.collect()
+    each.collect()
 }
 
 /// The mapping for a device, and the node that it has now, perhaps another than before.

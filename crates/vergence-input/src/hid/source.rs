@@ -23,6 +23,10 @@ const LONGEST_WAIT: Duration = Duration::from_millis(100);
 /// A gap of more is a device that began anew.
 const MOST_GAP: u64 = 1 << 15;
 
+/// A clock that is set more often than this in so long is none.
+const MOST_JUMPS: u32 = 5;
+const CLOCK_WATCH: Span = Span::from_millis(2000);
+
 type Opener = Box<dyn FnMut() -> std::io::Result<Box<dyn Reports>> + Send>;
 
 /// What is known of one stream while it is read.
@@ -30,6 +34,8 @@ struct Open {
     resolved: Resolved,
     /// As last seen; of a number that was not seen yet, NaN.
     values: [f64; MOST_VALUES],
+    /// Of a gaze: whether it was there when it was last asked for.
+    is_seen: Option<bool>,
 }
 
 /// A HID device as a source: the streams that a mapping makes of its reports. A device that is unplugged is waited for, under
@@ -46,6 +52,8 @@ pub struct HidSource {
     numbered: bool,
     map: Option<ClockMap>,
     report: ClockReport,
+    /// Since when the jumps of the device's clock are counted, and how many there were then.
+    clock_watched: Option<(Timestamp, u32)>,
     next_sequence: Option<u64>,
     lost: u64,
     buffer: Box<[u8]>,
@@ -92,10 +100,14 @@ impl HidSource {
         }
         let mut streams = own_streams();
         streams.extend(plan.streams.iter().map(|resolved| resolved.stream.clone()));
-        let open = |resolved: &Resolved| Open { resolved: resolved.clone(), values: [f64::NAN; MOST_VALUES] };
+        let open = |resolved: &Resolved| Open {
+            resolved: resolved.clone(),
+            values: [f64::NAN; MOST_VALUES],
+            is_seen: None,
+        };
         let least_latency = Span::from_secs_f64(mapping.least_latency_s).unwrap_or(Span::ZERO);
-        let map = plan.time.as_ref().and_then(|(place, tick_ns)| {
-            let counter = Counter::new(u32::try_from(place.slot.bits).ok()?, *tick_ns, 1).ok()?;
+        let map = plan.time.as_ref().and_then(|(place, (nanos, ticks))| {
+            let counter = Counter::new(u32::try_from(place.slot.bits).ok()?, *nanos, *ticks).ok()?;
             Some(ClockMap::new(ClockKnobs { least_latency, ..ClockKnobs::new(counter) }))
         });
         let now = clock.now();
@@ -111,6 +123,7 @@ impl HidSource {
             plan,
             map,
             report: ClockReport::default(),
+            clock_watched: None,
             next_sequence: None,
             lost: 0,
             buffer: vec![0; MOST_REPORT].into_boxed_slice(),
@@ -171,8 +184,7 @@ impl HidSource {
             for (slot, place) in open.resolved.places.iter().enumerate() {
                 if let Some(number) = read(place) {
                     has_first |= slot == 0;
-                    let value = number * place.scale;
-                    open.values[slot] = if place.clamp { value.clamp(-1.0, 1.0) } else { value };
+                    open.values[slot] = place.value(number);
                 }
             }
             let values = &open.values[..open.resolved.places.len()];
@@ -181,7 +193,17 @@ impl HidSource {
                 continue;
             }
             let value = if open.resolved.gaze_point {
-                gaze(values).map(Reading::Gaze)
+                let gaze = gaze(values);
+                let is_seen = gaze.is_some();
+                if open.is_seen.replace(is_seen).unwrap_or(true) != is_seen {
+                    let event = if is_seen {
+                        Event::new("found", "the eyes are seen")
+                    } else {
+                        Event::new("lost", "the eyes are not seen")
+                    };
+                    tell(sink, arrived, event);
+                }
+                gaze.map(Reading::Gaze)
             } else {
                 reading(open.resolved.stream.kind, values)
             };
@@ -193,19 +215,33 @@ impl HidSource {
             }
         }
         if let Some(map) = &self.map {
-            self.report.say(map.state(), arrived, sink);
+            let state = map.state();
+            let (since, before) = *self.clock_watched.get_or_insert((arrived, state.jumps));
+            if state.jumps > before + MOST_JUMPS {
+                let text = "the device's times make no clock (another unit than its descriptor says?): those of arrival are taken";
+                tell(sink, arrived, Event::new("clock_ignored", text));
+                self.map = None;
+                return;
+            }
+            if arrived.since(since).is_some_and(|passed| passed > CLOCK_WATCH) {
+                self.clock_watched = Some((arrived, state.jumps));
+            }
+            self.report.say(state, arrived, sink);
         }
     }
 }
 
-/// A gaze out of the point that is looked at on a display and where the eyes are: x to the right, y down, z towards the user.
-/// `None` where an eye is at the display's corner: it is not seen.
+/// A gaze out of the point that is looked at on a display and where the eyes are: x to the right, y down, z towards the user. From
+/// between the eyes, or from the one that is seen: one at the display's corner is not. `None` where neither is.
 fn gaze(values: &[f64]) -> Option<Gaze> {
     let &[x, y, lx, ly, lz, rx, ry, rz] = values else { return None };
-    if lz <= 0.0 || rz <= 0.0 {
-        return None;
-    }
-    let origin = Vector3::new(lx + rx, -(ly + ry), lz + rz) * 0.5;
+    let (left, right) = (Vector3::new(lx, -ly, lz), Vector3::new(rx, -ry, rz));
+    let origin = match (lz > 0.0, rz > 0.0) {
+        (true, true) => (left + right) * 0.5,
+        (true, false) => left,
+        (false, true) => right,
+        (false, false) => return None,
+    };
     let direction = UnitVector3::try_new(Vector3::new(x, -y, 0.0) - origin, 1e-6)?;
     Some(Gaze { origin: Point3::from(origin), direction })
 }

@@ -74,6 +74,7 @@ impl ExportArgs {
         if written.is_empty() {
             return Err(self.nothing());
         }
+        crate::record::warn_of_end(&reader);
         if self.json {
             let files: Vec<_> = written
                 .iter()

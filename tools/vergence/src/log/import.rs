@@ -22,7 +22,7 @@ pub struct ImportArgs {
     kind: Kind,
     /// The recording: a file, for euroc the folder that has mav0 in it (or mav0)
     path: PathBuf,
-    /// The new log
+    /// The log; one that is there is refused
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Replaces the log where there is one already
