@@ -302,7 +302,8 @@ fn a_killed_recording_is_mended_and_replays() {
             ["run", scene.to_str().expect("UTF-8"), "--headset", "simulated", "--msaa", "1", "--real-time"];
         let mut words: Vec<String> = texts.map(str::to_owned).to_vec();
         words.extend(["--profile".into(), bench.path("headset.toml"), "--record".into(), log.clone()]);
-        words.extend(["--seconds".into(), seconds.into()]);
+        // The second one is to meet the first one's writer, not its file.
+        words.extend(["--overwrite".into(), "--seconds".into(), seconds.into()]);
         words
     };
     let mut child = Command::new(vergence_tests::vergence())
