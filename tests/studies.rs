@@ -65,8 +65,8 @@ fn fittsstudy_logs_give_fittsstudys_own_columns() {
                 ("TP(2d)", xy.tp),
                 ("Error%", row.ends.error_rate),
                 ("dx(1d)", one.end.map(|end| end.dx)),
-                ("ae(1d)", one.end.map(|end| end.ae)),
-                ("ae(2d)", one.end.map(|end| end.ae_xy)),
+                ("ae(1d)", one.end.and_then(|end| end.ae)),
+                ("ae(2d)", one.end.and_then(|end| end.ae_xy)),
             ];
             for (name, found) in pairs {
                 near(&format!("{} {name}", path.display()), found, column(name), PRINTED);
@@ -149,7 +149,7 @@ fn vive_and_mouse_in_three_planes() {
     near("TP", vive.tp_mean_of_means(), 2.502, 6e-4);
     near("TP 3D", vive.tp_xy_mean_of_means(), 2.026, 6e-4);
     for (plane, tp) in [("XY", 2.600), ("YZ", 2.429), ("ZX", 2.479)] {
-        let own = vive.mean(|row| row.ends.x.tp.filter(|_| row.factors["plane"] == plane));
+        let own = vive.mean(|row| row.ends.x.tp.filter(|_| row.key.factors["plane"] == plane));
         near(plane, own, tp, 6e-4);
     }
     let mouse = analysis("mouse");

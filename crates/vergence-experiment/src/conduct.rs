@@ -60,6 +60,7 @@ impl Conduct {
         let mut course = Course::new(folder.study(), &about.participant);
         about.length_unit = course.length_unit().to_owned();
         about.dimensions = course.dimensions(flat);
+        about.conventions.difficulty = folder.study().difficulty();
         let participant = about.participant.clone();
         let (lock, mut journal, records) = folder.begin(&mut about, resume)?;
         let file = format!("{participant}.{}.mcap", about.part);

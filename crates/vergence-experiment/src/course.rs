@@ -1,5 +1,7 @@
 //! Leads one participant through a plan. Pure: fed with readings, reads no clock.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Vector3;
 use vergence_study::{
     CursorSample, Geometry, Instruction, Plan, PlannedTrial, Point, Study, Target, Trial, Trigger, layout,
@@ -234,6 +236,11 @@ impl Course {
         self.study.instructions.get(block.instruction)
     }
 
+    /// Levels of the other factors in the next trial.
+    pub fn factors(&self) -> Option<&BTreeMap<String, String>> {
+        self.planned().map(|planned| &planned.factors)
+    }
+
     /// Dimensions of the ends: 1 on a line, 2 on a plane (`flat`: a screen) and for angles, else 3.
     pub fn dimensions(&self, flat: bool) -> usize {
         match self.study.geometry {
@@ -312,8 +319,8 @@ impl Course {
         if !self.selects(pressed, inside, at) {
             return Step::Nothing;
         }
-        let dwell_s = if self.study.trigger == Trigger::Dwell { self.study.dwell_s } else { 0.0 };
-        self.end(at, start, cursor, t_s - dwell_s, !inside)
+        // Of a dwell as of a press: time and end are of the moment of selection, the rest included.
+        self.end(at, start, cursor, t_s, !inside)
     }
 
     /// Whether the target is selected now: by pressing, anywhere, or by resting inside for long enough.
@@ -359,7 +366,8 @@ impl Course {
             _ => point,
         };
         let band = |[least, most]: [f64; 2]| {
-            let share = mt_s / planned.predicted_s;
+            let dwell_s = if self.study.trigger == Trigger::Dwell { self.study.dwell_s } else { 0.0 };
+            let share = (mt_s - dwell_s) / planned.predicted_s;
             !(least..=most).contains(&share)
         };
         let samples = self.samples.iter().map(|s| CursorSample { position: said(s.position), ..*s });
@@ -607,7 +615,7 @@ mod tests {
     }
 
     #[test]
-    fn resting_selects_and_is_no_part_of_the_movement() {
+    fn resting_selects_and_time_and_end_are_of_that_moment() {
         let study = study(|text| text.replace("by = \"trigger\"", "by = \"dwell\""));
         let mut course = Course::new(&study, "P01");
         let mut ended = None;
@@ -621,7 +629,8 @@ mod tests {
             }
         }
         let ended = ended.unwrap();
-        assert!((ended.trial.mt_s - 0.3).abs() < 1e-9 && !ended.trial.error, "{}", ended.trial.mt_s);
+        assert!((ended.trial.mt_s - 0.8).abs() < 1e-9 && !ended.trial.error, "{}", ended.trial.mt_s);
+        assert_eq!(ended.trial.samples.last().map(|sample| sample.position), Some(ended.trial.end));
     }
 
     #[test]

@@ -1,11 +1,11 @@
 //! Logs back into trials.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use vergence_log::{Ending, Reader};
 use vergence_sense::Event;
-use vergence_study::{DataSet, Error as StudyError, Imported};
+use vergence_study::{DataSet, Error as StudyError, Imported, Study};
 use vergence_time::{Span, Timestamp};
 
 use crate::error::Error;
@@ -84,19 +84,28 @@ fn with_causes(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// The trials of logs as analyses take them. Of a sequence that was repeated, only the last attempt is analysed.
+/// The trials of logs as analyses take them. Of a sequence that was repeated, only the last complete attempt is analysed.
 ///
 /// # Errors
 /// Where units, dimensions or conventions differ, or there is no trial.
 pub fn imported(logs: &[SessionLog]) -> Result<Imported, Error> {
-    let Some(first) = logs.first() else { return Err(StudyError::Empty { what: "logs" }.into()) };
+    // A log in which nothing was finished says nothing, and stands in nobody's way.
+    let logs: Vec<&SessionLog> = logs.iter().filter(|log| !log.records.is_empty()).collect();
+    let logs = logs.as_slice();
+    let Some(first) = logs.first() else { return Err(StudyError::Empty { what: "trials" }.into()) };
     let kind = |about: &About| format!("{} dimensions in {}", about.dimensions, about.length_unit);
     let mut data = DataSet {
         length_unit: first.about.length_unit.clone(),
         dimensions: first.about.dimensions,
         trials: Vec::new(),
     };
-    let mut latest: BTreeMap<(&str, &str, u32, u32), u32> = BTreeMap::new();
+    // How many trials each attempt at each sequence has.
+    type Sequence<'a> = (&'a str, &'a str, u32, u32);
+    let mut attempts: BTreeMap<Sequence<'_>, BTreeMap<u32, u32>> = BTreeMap::new();
+    let mut seen: BTreeSet<(&str, &str, Place, [u64; 4])> = BTreeSet::new();
+    let mut copies = 0u64;
+    let mut kept: Vec<Vec<&Record>> = Vec::new();
+    let mut lengths: Vec<u32> = Vec::new();
     for log in logs {
         if kind(&log.about) != kind(&first.about) {
             let (expected, found) = (kind(&first.about), kind(&log.about));
@@ -115,20 +124,41 @@ pub fn imported(logs: &[SessionLog]) -> Result<Imported, Error> {
             let (expected, found) = (listed(&first.about), listed(&log.about));
             return Err(StudyError::Mixed { expected, found }.into());
         }
+        // A sequence is repeated as a whole.
+        let study = Study::parse(Path::new("study.toml"), &log.about.study_file).ok();
+        let length = study.map_or(1, |study| (study.practice + study.per_condition).max(1));
+        let mut own = Vec::with_capacity(log.records.len());
         for record in &log.records {
+            let (participant, session) = (record.trial.participant.as_str(), record.trial.session.as_str());
+            // The same place and the same movement: imported logs may have one place twice.
+            let [x, y, z] = record.trial.end;
+            let movement = [record.trial.mt_s, x, y, z].map(f64::to_bits);
+            if !seen.insert((participant, session, record.place, movement)) {
+                copies += 1;
+                continue;
+            }
             let Place { block, trial, attempt } = record.place;
-            let key = (record.trial.participant.as_str(), record.trial.session.as_str(), block, trial);
-            let known = latest.entry(key).or_insert(attempt);
-            *known = (*known).max(attempt);
+            let key = (participant, session, block, trial / length);
+            *attempts.entry(key).or_default().entry(attempt).or_default() += 1;
+            own.push(record);
         }
+        kept.push(own);
+        lengths.push(length);
     }
+    // The last that is complete; where none is, the last.
+    let chosen = |key: &Sequence<'_>, length: u32| {
+        let own = attempts.get(key);
+        let complete = own.and_then(|own| own.iter().rev().find(|(_, trials)| **trials >= length));
+        complete.or_else(|| own.and_then(|own| own.iter().next_back())).map_or(0, |(attempt, _)| *attempt)
+    };
     let (mut superseded, mut warnings) = (0u64, Vec::new());
-    for log in logs {
-        for record in &log.records {
+    for ((log, records), length) in logs.iter().zip(kept).zip(lengths) {
+        for record in records {
             let Place { block, trial, attempt } = record.place;
-            let key = (record.trial.participant.as_str(), record.trial.session.as_str(), block, trial);
+            let key =
+                (record.trial.participant.as_str(), record.trial.session.as_str(), block, trial / length);
             let mut own = record.trial.clone();
-            if latest.get(&key).is_some_and(|latest| *latest > attempt) {
+            if chosen(&key, length) != attempt {
                 superseded += u64::from(!own.practice);
                 own.practice = true;
             }
@@ -142,6 +172,18 @@ pub fn imported(logs: &[SessionLog]) -> Result<Imported, Error> {
         warnings.push(format!(
             "{superseded} trials are of sequences that were repeated for too many misses: they count as practice"
         ));
+    }
+    let of = |is: &dyn Fn(&SessionLog) -> bool| {
+        let people: BTreeSet<&str> =
+            logs.iter().filter(|log| is(log)).map(|log| log.about.participant.as_str()).collect();
+        people.len()
+    };
+    let simulated = of(&|log| log.about.input.starts_with("simulated"));
+    if simulated > 0 {
+        warnings.push(format!("{simulated} of {} participants are simulated", of(&|_| true)));
+    }
+    if copies > 0 {
+        warnings.push(format!("{copies} trials are there twice: is a log there twice? They are taken once"));
     }
     if data.trials.is_empty() {
         return Err(StudyError::Empty { what: "trials" }.into());

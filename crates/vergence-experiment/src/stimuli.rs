@@ -1,5 +1,6 @@
 //! What the participant sees: targets, cursor and words, as nodes of a scene.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Matrix3, Vector3};
@@ -48,7 +49,9 @@ pub(crate) struct Stimuli {
     cursor: usize,
     ray: usize,
     words: usize,
-    instructions: usize,
+    texts: usize,
+    /// Combinations of the other factors, in the order of their words.
+    cells: Vec<BTreeMap<String, String>>,
 }
 
 impl Stimuli {
@@ -107,10 +110,18 @@ impl Stimuli {
         let cursor = add(&mut scene, "cursor", Primitive { material: 3, ..shapes::sphere(0.5, 12) });
         let ray = add(&mut scene, "ray", Primitive { material: 3, ..shapes::cuboid([1.0; 3]) });
         let begin = format!("{how} on the blue target to begin.");
+        // One for each combination of the other factors' levels, too: who takes part is told which one comes.
+        let cells = study.cells();
+        let told = |cell: &BTreeMap<String, String>| {
+            cell.iter().map(|(name, level)| format!("{name}: {level}\n")).collect::<String>()
+        };
         let texts = study
             .instructions
             .iter()
-            .map(|one| format!("{}\n\n{begin}", wrapped(&one.text)))
+            .flat_map(|one| {
+                let text = wrapped(&one.text);
+                cells.iter().map(|cell| format!("{text}\n{}\n{begin}", told(cell))).collect::<Vec<_>>()
+            })
             .chain(["Have a rest.\nIt goes on by itself.".to_owned(), "That was all. Thank you!".to_owned()]);
         let words_node = scene.nodes.len();
         for text in texts {
@@ -143,7 +154,8 @@ impl Stimuli {
             cursor,
             ray,
             words: words_node,
-            instructions: study.instructions.len(),
+            texts: study.instructions.len() * cells.len(),
+            cells,
         }
     }
 
@@ -189,14 +201,16 @@ impl Stimuli {
         put(self.ray, beam.as_ref());
         let shown = match course.showing() {
             Showing::Instruction(one) => {
-                course.study().instructions.iter().position(|own| own.name == one.name)
+                let told = course.study().instructions.iter().position(|own| own.name == one.name);
+                let cell = course.factors().and_then(|own| self.cells.iter().position(|cell| cell == own));
+                told.map(|told| told * self.cells.len() + cell.unwrap_or(0))
             }
             Showing::Movement => None,
-            Showing::Break(_) => Some(self.instructions),
-            Showing::Done => Some(self.instructions + 1),
+            Showing::Break(_) => Some(self.texts),
+            Showing::Done => Some(self.texts + 1),
         };
         let words = placed(world_from_task, self.words_at, Vector3::repeat(1.0));
-        for node in 0..self.instructions + 2 {
+        for node in 0..self.texts + 2 {
             put(self.words + node, Some(&words).filter(|_| shown == Some(node)));
         }
     }

@@ -20,6 +20,10 @@ pub(crate) const TIP_M: f64 = 0.1;
 const POINTING_FROM_M: [f64; 3] = [0.2, 1.25, -0.3];
 /// Who has pressed and sees the same target still tries again after this time.
 const NOTICES: Span = Span::from_millis(250);
+/// Who rests beside a target corrects that after the time of a dwell and this, seconds.
+const RESTS_IN_VAIN_S: f64 = 1.0;
+/// So many widths of a tunnel the eye is ahead of the hand.
+const PIECE_OF_WIDTH: f64 = 2.0;
 /// Spread of people's skill: standard deviation of its logarithm.
 const SKILL_SPREAD: f64 = 0.15;
 
@@ -33,6 +37,10 @@ pub(crate) struct Actor {
     /// Sequences begun: each is a person of its own seed, so that none has to remember a whole session.
     begun: u64,
     goal: Option<Goal>,
+    /// When it was seen last.
+    seen: Timestamp,
+    /// How far the eye is in the tunnel that the hand goes through, metres along x; the hand follows.
+    ahead_m: f64,
 }
 
 impl Actor {
@@ -64,7 +72,16 @@ impl Actor {
         let selection =
             if study.trigger == Trigger::Dwell { Selection::Dwell } else { Params::default().selection };
         let params = Params { noise_s: skill, start_m, selection, ..Params::default() };
-        Ok(Self { person: Person::new(seed, reach, &params)?, params, reach, seed, begun: 0, goal: None })
+        Ok(Self {
+            person: Person::new(seed, reach, &params)?,
+            params,
+            reach,
+            seed,
+            begun: 0,
+            goal: None,
+            seen: Timestamp::default(),
+            ahead_m: 0.0,
+        })
     }
 
     /// Sees where to go, at session time `at`.
@@ -78,13 +95,15 @@ impl Actor {
             self.goal = None;
             return Ok(());
         };
+        let since = |then: Timestamp| at.since(then).unwrap_or(Span::ZERO);
         if self.goal.as_ref() == Some(goal) {
-            let tries_again = self
-                .person
-                .presses()
-                .last()
-                .is_some_and(|pressed| at.since(*pressed).is_some_and(|since| since > NOTICES));
-            if !tries_again {
+            let tries_again = match study.trigger {
+                // Who rests beside the target notices that nothing happens.
+                Trigger::Dwell => since(self.seen).as_secs_f64() > study.dwell_s + RESTS_IN_VAIN_S,
+                _ => self.person.presses().last().is_some_and(|pressed| since(*pressed) > NOTICES),
+            };
+            let goes_on = study.geometry == Geometry::Steering && !goal.is_start && self.goes_on(at, goal);
+            if !tries_again && !goes_on {
                 return Ok(());
             }
         } else if goal.is_start {
@@ -94,15 +113,17 @@ impl Actor {
             let params = Params { start_m, margin: told.map_or(Params::BALANCED, margin), ..self.params };
             self.person = Person::new(mixed(self.seed ^ mixed(self.begun)), self.reach, &params)?;
         }
+        if self.goal.as_ref() != Some(goal) {
+            self.ahead_m = self.person.at(at).position_m.x;
+            self.goes_on(at, goal);
+        }
         self.goal = Some(*goal);
+        self.seen = at;
         let mut centre_m = Vector3::from(goal.centre);
         let mut width = goal.width;
         match study.geometry {
-            // Through the end of the tunnel, and beyond the edge.
-            Geometry::Steering if !goal.is_start => {
-                centre_m *= 1.2;
-                width = width.map(|width| 0.5 * width);
-            }
+            // Piece by piece through the tunnel, and beyond its end.
+            Geometry::Steering if !goal.is_start => centre_m.x = self.ahead_m,
             Geometry::Edge => {
                 centre_m.x *= 1.1;
                 width = Some(0.1 * goal.centre[0].abs());
@@ -115,6 +136,20 @@ impl Actor {
             _ => {}
         }
         self.person.see(at, Seen { centre_m, width })
+    }
+
+    /// In a tunnel the eye is ahead of the hand by so much that the hand, which goes astray by a share of its way, stays
+    /// inside: a piece in proportion to the width. Hence the steering law. Whether there is a next piece to go.
+    fn goes_on(&mut self, at: Timestamp, goal: &Goal) -> bool {
+        let direction = goal.centre[0].signum();
+        let piece_m = PIECE_OF_WIDTH * goal.width.unwrap_or(0.02);
+        let hand_m = self.person.at(at).position_m.x;
+        let is_near = direction * (self.ahead_m - hand_m) < 0.5 * piece_m;
+        let is_through = direction * (self.ahead_m - goal.centre[0]) > 0.0;
+        if is_near && !is_through {
+            self.ahead_m += direction * piece_m;
+        }
+        is_near && !is_through
     }
 
     /// Where the cursor is, in task coordinates, and whether the button is down.

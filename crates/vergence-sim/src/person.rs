@@ -298,7 +298,9 @@ impl Person {
                 }
                 Selection::Dwell if left == 1 => {
                     let off = self.way(self.settled(), target.centre_m).norm();
-                    if target.width.is_none_or(|width| 2.0 * off <= width) {
+                    // Who rests there stays inside while they tremble, where there is room for that.
+                    let room = |width: f64| (0.5 * width - 3.0 * self.tremor()).max(0.25 * width);
+                    if target.width.is_none_or(|width| off <= room(width)) {
                         return;
                     }
                 }

@@ -21,10 +21,14 @@ pub struct Alternative {
 
 /// The answer by `conventions`, then by each value of each knob that throughput depends on and that differs from theirs.
 /// Each costs one analysis without paths: about a microsecond per trial.
+/// None for tunnels, which have no throughput.
 pub fn alternatives(data: &DataSet, conventions: &Conventions) -> Vec<Alternative> {
+    if conventions.difficulty == Difficulty::Steering {
+        return Vec::new();
+    }
     let names = |all: &[&str]| all.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
     let mut values: Vec<(&'static str, Vec<String>)> = vec![
-        ("id", Difficulty::ALL.iter().map(|value| value.to_string()).collect()),
+        ("id", [Difficulty::Shannon, Difficulty::Fitts].map(|value| value.to_string()).to_vec()),
         ("we_factor", names(&["sqrt(2*pi*e)", "4.133"])),
         ("axis", Axis::ALL.iter().map(|value| value.to_string()).collect()),
     ];

@@ -1,4 +1,4 @@
-//! From trials to rows (participant × session × block × condition) to a summary.
+//! From trials to rows (participant × session × block × condition × instruction × other factors) to a summary.
 
 use std::collections::BTreeMap;
 
@@ -23,6 +23,19 @@ pub struct Key {
     pub block: String,
     /// Condition.
     pub condition: String,
+    /// The instruction, where there were several: ends of different instructions are never pooled.
+    pub instruction: Option<String>,
+    /// Levels of other factors, by name: nor are those of different levels.
+    pub factors: BTreeMap<String, String>,
+    /// Nominal amplitude and width (six digits of each): nor are those of targets that differ under one name of a condition.
+    pub sizes: [Option<u64>; 2],
+}
+
+/// A nominal size to six digits, which real amplitudes of one ring share: its bits, so that sizes have an order.
+pub(crate) fn nominal(size: Option<f64>) -> Option<u64> {
+    let size = size.filter(|size| size.is_finite() && *size > 0.0)?;
+    let scale = 10f64.powi(5 - size.log10().floor() as i32);
+    Some(((size * scale).round() / scale).to_bits())
 }
 
 /// One sequence, analysed.
@@ -30,10 +43,6 @@ pub struct Key {
 pub struct Row {
     /// Whose and when.
     pub key: Key,
-    /// The instruction, where there were several.
-    pub instruction: Option<String>,
-    /// Levels of other factors.
-    pub factors: BTreeMap<String, String>,
     /// Nominal amplitude, length unit.
     pub amplitude: Option<f64>,
     /// Nominal width, length unit.
@@ -89,17 +98,20 @@ pub struct Analysis {
     pub fit: Option<Fit>,
     /// As above.
     pub fit_xy: Option<Fit>,
-    /// Of mean movement time on nominal difficulty.
+    /// Of mean movement time on nominal difficulty: of tunnels, the steering law.
     pub fit_nominal: Option<Fit>,
     /// Of each participant and session with three rows or more.
     pub fits: Vec<(String, String, Fit)>,
     /// Means by instruction.
     pub stability: Option<Stability>,
+    /// Means by each other factor of more than one level.
+    pub factors: Vec<(String, Stability)>,
     /// The law of speed against accuracy; none where accuracy does not rise with time.
     pub who: Option<Who>,
     /// Predicted and observed errors.
     pub error_model: Option<ErrorModel>,
-    /// Conditional accuracy by instruction (or of all, under an empty name); none where trials were streamed.
+    /// Conditional accuracy by instruction (or of all, under an empty name), a mean over sequences; none where trials were
+    /// streamed.
     pub accuracy: Vec<(String, Vec<CafBin>)>,
 }
 
@@ -136,6 +148,14 @@ impl Analysis {
         self.rows.iter().map(|row| row.trials).sum()
     }
 
+    /// Mean over rows of A/W per second: how fast tunnels are gone through, 1/s. None for what is no tunnel.
+    pub fn steering_rate(&self) -> Option<f64> {
+        if self.conventions.difficulty != Difficulty::Steering {
+            return None;
+        }
+        self.mean(|row| row.id.zip(row.ends.mt_s).filter(|(_, mt)| *mt > 0.0).map(|(id, mt)| id / mt))
+    }
+
     /// Different participants.
     pub fn participants(&self) -> usize {
         let mut names: Vec<&str> = self.rows.iter().map(|row| row.key.participant.as_str()).collect();
@@ -170,6 +190,9 @@ pub fn key_of(trial: &Trial) -> Key {
         session: trial.session.clone(),
         block: trial.block.clone(),
         condition: trial.condition.clone(),
+        instruction: trial.instruction.clone(),
+        factors: trial.factors.clone(),
+        sizes: [trial.amplitude, trial.width].map(nominal),
     }
 }
 
@@ -188,13 +211,19 @@ fn trials_with<'a>(data: &'a DataSet, conventions: &Conventions, paths: bool) ->
         .trials
         .iter()
         .map(|trial| {
-            let path = if paths { of_path(trial, conventions) } else { None };
+            let path = if paths { of_path(trial, conventions, data.dimensions) } else { None };
             Analysed { trial, end: None, path, outlier: false }
         })
         .collect();
     for members in groups.values() {
-        let mut before = 0.0;
+        let (mut before, mut last) = (0.0, None);
         for &i in members {
+            // The movement before it in its sequence, where that is there.
+            let index = data.trials[i].index;
+            if last.is_some_and(|last: u32| last.checked_add(1) != Some(index)) {
+                before = 0.0;
+            }
+            last = Some(index);
             let end = end_of(&data.trials[i], conventions, before);
             before = if conventions.axis == Axis::Serial { end.map_or(0.0, |end| end.dx) } else { 0.0 };
             analysed[i].end = end;
@@ -246,14 +275,11 @@ pub(crate) fn analyse_with(data: &DataSet, conventions: &Conventions, paths: boo
         finished(Row { key, path, ..row }, &sequence, conventions, data.dimensions)
     });
     let rows = rows.collect();
-    let mut accuracy: BTreeMap<String, Vec<(f64, bool)>> = BTreeMap::new();
+    let mut accuracy: BTreeMap<Key, Vec<(f64, bool)>> = BTreeMap::new();
     for one in analysed.iter().filter(|one| !one.trial.practice) {
-        let name = one.trial.instruction.clone().unwrap_or_default();
-        accuracy.entry(name).or_default().push((one.trial.mt_s, one.trial.error));
+        accuracy.entry(key_of(one.trial)).or_default().push((one.trial.mt_s, one.trial.error));
     }
-    let accuracy =
-        accuracy.into_iter().map(|(name, trials)| (name, tradeoff::conditional_accuracy(&trials, 5)));
-    let accuracy = accuracy.collect();
+    let accuracy = tradeoff::mean_accuracy(accuracy, 5);
     let mut analysis = summarised(rows, conventions, &data.length_unit, data.dimensions, practice);
     if without > 0 {
         analysis
@@ -265,19 +291,15 @@ pub(crate) fn analyse_with(data: &DataSet, conventions: &Conventions, paths: boo
 }
 
 fn blank_row(trial: &Trial) -> Row {
-    Row {
-        instruction: trial.instruction.clone(),
-        factors: trial.factors.clone(),
-        amplitude: trial.amplitude,
-        width: trial.width,
-        ..Row::default()
-    }
+    Row { amplitude: trial.amplitude, width: trial.width, ..Row::default() }
 }
 
 /// The row of a sequence that is complete.
 pub fn finished(row: Row, sequence: &Sequence, conventions: &Conventions, dimensions: usize) -> Row {
     let ends = sequence.measures(conventions, dimensions);
-    let we = row.width.zip(ends.error_rate).and_then(|(width, rate)| width_from_errors(width, rate));
+    let is_aim = conventions.difficulty != Difficulty::Steering;
+    let known = row.width.zip(ends.error_rate).filter(|_| is_aim);
+    let we = known.and_then(|(width, rate)| width_from_errors(width, rate));
     let ide = row.amplitude.zip(we).and_then(|(a, w)| difficulty(conventions.difficulty, a, w));
     let tp = ide.zip(ends.mt_s).filter(|(_, mt)| *mt > 0.0).map(|(ide, mt)| ide / mt);
     Row {
@@ -327,6 +349,7 @@ pub fn summarised(
         fit_nominal: fit_of(&rows, |row| row.id),
         fits,
         stability: tradeoff::stability(&rows),
+        factors: tradeoff::by_factors(&rows),
         who: tradeoff::who_of(&rows, conventions),
         error_model: fit
             .filter(|_| conventions.difficulty == Difficulty::Shannon)

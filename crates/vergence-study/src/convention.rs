@@ -47,12 +47,19 @@ macro_rules! named {
 }
 
 named! {
-    /// Index of difficulty, bits.
+    /// Index of difficulty: bits, and for tunnels a number without unit.
     Difficulty "index of difficulty" {
         /// log2(A/W + 1): MacKenzie 1992.
         Shannon = "shannon",
         /// log2(2A/W): Fitts 1954.
         Fitts = "fitts",
+        /// A/W: Accot and Zhai 1997, for tunnels. Where a tunnel is left says nothing of accuracy, so that there are no effective
+        /// measures and no throughput: times, shares of those who left it, paths, and T = a + b A/W.
+        Steering = "steering",
+        /// log2(α/ω³ + 1)², bits²: Kopper, Bowman, Silva and McMahan 2010, for rays (radians).
+        Angular = "angular",
+        /// 2 √(A/W): the term of Meyer et al. 1988 with two submovements; no unit.
+        Meyer = "meyer",
     }
 }
 
@@ -119,8 +126,11 @@ named! {
 named! {
     /// How paths become counts.
     PathRule "path rule" {
-        /// Samples as they are; crossings beyond a dead band, turns beyond a jump (GoFitts).
+        /// Samples as they are; crossings beyond a dead band, turns beyond a jump.
         Thresholds = "thresholds",
+        /// As GoFitts counts: from the start's centre cut to whole units, directions without runs of one or two steps, turns
+        /// behind runs that are longer than the jump; the axis always points to the right, which is the sign of MO.
+        GoFitts = "gofitts",
         /// Resampled at 100 Hz, smoothed by a Gaussian of 5 samples, then every change of sign (FittsStudy).
         Smoothed = "smoothed",
     }
@@ -157,9 +167,9 @@ pub struct Conventions {
     pub outliers: Outliers,
     /// Path counts.
     pub path: PathRule,
-    /// Dead band of axis crossings for [`PathRule::Thresholds`], length unit (GoFitts: 5 px).
+    /// Dead band of axis crossings for [`PathRule::Thresholds`] and [`PathRule::GoFitts`], length unit (GoFitts: 5 px).
     pub crossing_band: f64,
-    /// Least jump of a turn for [`PathRule::Thresholds`], length unit (GoFitts: 10 px).
+    /// Least jump of a turn for the same, length unit (GoFitts: 10 px).
     pub turn_jump: f64,
     /// Sequences with fewer trials are not analysed.
     pub least_trials: usize,
@@ -213,7 +223,13 @@ impl Conventions {
 
     /// Those of GoFitts and FittsTaskTwo.
     pub fn gofitts() -> Self {
-        Self { axis: Axis::Serial, crossing_band: 5.0, turn_jump: 10.0, ..Self::default() }
+        Self {
+            axis: Axis::Serial,
+            path: PathRule::GoFitts,
+            crossing_band: 5.0,
+            turn_jump: 10.0,
+            ..Self::default()
+        }
     }
 
     /// Sets one knob by its name and value as in [`Conventions::listed`].

@@ -138,7 +138,9 @@ pub(crate) fn number_of(pseudonym: &str) -> u64 {
         .rev()
         .collect();
     match digits.parse::<u64>() {
-        Ok(number) => number.saturating_sub(1),
+        // One less than a multiple of every usual number of rows: P00 stands before P01, not beside it.
+        Ok(0) => 8 * 7 * 6 * 5 * 4 * 3 * 2 - 1,
+        Ok(number) => number - 1,
         Err(_) => pseudonym.bytes().fold(0, |hash, byte| mixed(hash ^ u64::from(byte))),
     }
 }

@@ -1,11 +1,13 @@
 //! Rows as tables and as one JSON object, for other programs: every number with all its digits.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use serde_json::{Map, Value, json};
 
 use crate::alternatives::Alternative;
 use crate::analysis::{Analysed, Analysis, Fit, Row};
+use crate::tradeoff::Stability;
 use crate::trial::PathMeasures;
 
 fn quoted(text: &str) -> String {
@@ -63,7 +65,12 @@ pub fn conditions_csv(analysis: &Analysis) -> String {
     for (name, _) in numbers(analysis.rows.first().unwrap_or(&blank)) {
         let _ = write!(text, ",{name}");
     }
-    text += ",block,instruction\n";
+    text += ",block,instruction";
+    let factors = factors_of(analysis.rows.iter().map(|row| &row.key.factors));
+    for name in &factors {
+        let _ = write!(text, ",{}", quoted(&factor_column(name)));
+    }
+    text += "\n";
     for row in &analysis.rows {
         let key = &row.key;
         let _ =
@@ -71,14 +78,32 @@ pub fn conditions_csv(analysis: &Analysis) -> String {
         for (_, value) in numbers(row) {
             let _ = write!(text, ",{}", cell(value));
         }
-        let _ =
-            writeln!(text, ",{},{}", quoted(&key.block), quoted(row.instruction.as_deref().unwrap_or("")));
+        let _ = write!(text, ",{},{}", quoted(&key.block), quoted(key.instruction.as_deref().unwrap_or("")));
+        for name in &factors {
+            let _ = write!(text, ",{}", quoted(key.factors.get(name).map_or("", String::as_str)));
+        }
+        text += "\n";
     }
     text
 }
 
+/// The column of a factor in our tables: no other column has such a name.
+pub fn factor_column(name: &str) -> String {
+    format!("factor_{name}")
+}
+
+/// Names of all factors, in order.
+fn factors_of<'a>(all: impl Iterator<Item = &'a BTreeMap<String, String>>) -> Vec<String> {
+    let names: BTreeSet<&String> = all.flat_map(BTreeMap::keys).collect();
+    names.into_iter().cloned().collect()
+}
+
 /// One row per trial, practice too. It can be analysed again without a map.
+/// The columns of other factors are named as [`factor_column`] says.
 pub fn trials_csv(trials: &[Analysed<'_>]) -> String {
+    let factors = factors_of(trials.iter().map(|one| &one.trial.factors));
+    let spatial = trials.iter().any(|one| one.trial.spatial_outlier.is_some());
+    let temporal = trials.iter().any(|one| one.trial.temporal_outlier.is_some());
     let mut text = String::from(
         "participant,session,block,condition,instruction,index,practice,amplitude,width,mt_s,error,outlier",
     );
@@ -90,6 +115,12 @@ pub fn trials_csv(trials: &[Analysed<'_>]) -> String {
     text += ",dx_axis,ae_axis,ae_straight";
     for name in PathMeasures::NAMES {
         let _ = write!(text, ",{name}");
+    }
+    for (name, there) in [("spatial_outlier", spatial), ("temporal_outlier", temporal)] {
+        let _ = if there { write!(text, ",{name}") } else { Ok(()) };
+    }
+    for name in &factors {
+        let _ = write!(text, ",{}", quoted(&factor_column(name)));
     }
     text += "\n";
     for one in trials {
@@ -115,11 +146,18 @@ pub fn trials_csv(trials: &[Analysed<'_>]) -> String {
                 .join(",")
         );
         let end = one.end;
-        for value in [end.map(|end| end.dx), end.map(|end| end.ae), end.map(|end| end.ae_xy)] {
+        for value in [end.map(|end| end.dx), end.and_then(|end| end.ae), end.and_then(|end| end.ae_xy)] {
             let _ = write!(text, ",{}", cell(value));
         }
         for value in one.path.unwrap_or_default().values() {
             let _ = write!(text, ",{}", cell(value));
+        }
+        for (flag, there) in [(t.spatial_outlier, spatial), (t.temporal_outlier, temporal)] {
+            let flag = flag.map_or_else(String::new, |flag| u8::from(flag).to_string());
+            let _ = if there { write!(text, ",{flag}") } else { Ok(()) };
+        }
+        for name in &factors {
+            let _ = write!(text, ",{}", quoted(t.factors.get(name).map_or("", String::as_str)));
         }
         text += "\n";
     }
@@ -138,13 +176,13 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
         object.insert("session".into(), json!(row.key.session));
         object.insert("condition".into(), json!(row.key.condition));
         object.insert("block".into(), json!(row.key.block));
-        object.insert("instruction".into(), json!(row.instruction));
+        object.insert("instruction".into(), json!(row.key.instruction));
         for (name, value) in numbers(row) {
             let whole = ["n", "trials", "errors", "outliers"].contains(&name);
             let value = if whole { json!(value.map(|value| value as u64)) } else { json!(value) };
             object.insert(name.into(), value);
         }
-        for (name, level) in &row.factors {
+        for (name, level) in &row.key.factors {
             object.entry(name.clone()).or_insert_with(|| json!(level));
         }
         Value::Object(object)
@@ -155,12 +193,15 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
         .into_iter()
         .map(|(name, value)| (name.to_owned(), json!(value)))
         .collect();
-    let stability = analysis.stability.as_ref().map(|stability| {
+    let levels = |stability: &Stability| {
         let levels = stability.levels.iter().map(|level| {
-            json!({"instruction": level.name, "sequences": level.sequences, "mt_s": level.mt_s, "sd_x": level.sd, "tp": level.tp, "error_rate": level.error_rate})
+            json!({"instruction": level.name, "level": level.name, "sequences": level.sequences, "mt_s": level.mt_s, "sd_x": level.sd, "tp": level.tp, "tp_sd_of_people": level.tp_sd_of_people, "error_rate": level.error_rate})
         });
         json!({"levels": levels.collect::<Vec<_>>(), "tp_cv": stability.cv})
-    });
+    };
+    let factors: Map<String, Value> =
+        analysis.factors.iter().map(|(name, own)| (name.clone(), levels(own))).collect();
+    let stability = analysis.stability.as_ref().map(levels);
     let accuracy = analysis.accuracy.iter().map(|(name, bins)| {
         let bins = bins.iter().map(|bin| json!({"mt_s": bin.mt_s, "error_rate": bin.error_rate, "n": bin.n}));
         json!({"instruction": name, "bins": bins.collect::<Vec<_>>()})
@@ -188,6 +229,7 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
             "fit": analysis.fit.as_ref().map(fit),
             "fit_xy": analysis.fit_xy.as_ref().map(fit),
             "fit_nominal": analysis.fit_nominal.as_ref().map(fit),
+            "steering_rate": analysis.steering_rate(),
             "error_rate": analysis.error_rate(),
             "mt_s": analysis.mean(|row| row.ends.mt_s),
             "ide": analysis.mean(|row| row.ends.x.ide),
@@ -199,6 +241,7 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
             "conventions": conventions,
             "exclusions": analysis.exclusions.iter().map(|(what, n)| json!({"what": what, "n": n})).collect::<Vec<_>>(),
             "instructions": stability,
+            "factors": factors,
             "who": who,
             "alternatives": alternatives.collect::<Vec<_>>(),
             "conditional_accuracy": accuracy.collect::<Vec<_>>(),
@@ -206,4 +249,49 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
             "fits": fits.collect::<Vec<_>>(),
         },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::{analyse, analyse_trials};
+    use crate::import::{ColumnMap, Tool, import};
+
+    #[test]
+    fn what_is_written_is_what_is_read() {
+        let mut text = String::from(
+            "participant,condition,hand,mt_s,dx,dy,amplitude,width,spatial_outlier,temporal_outlier\n",
+        );
+        for i in 0..48u32 {
+            let noise = f64::from(i.wrapping_mul(2_654_435_761) >> 16) / 65_536.0 - 0.5;
+            let (spatial, temporal) = (u32::from(i % 7 == 0), u32::from(i % 5 == 0));
+            text += &format!(
+                "P{},\"c,1\",h{},{},{},{},100,20,{spatial},{temporal}\n",
+                i % 2,
+                i % 3,
+                0.5 + 0.1 * noise,
+                9.0 * noise,
+                noise
+            );
+        }
+        let map = ColumnMap::parse("m".as_ref(), "[factors]\nhand = \"hand\"").unwrap();
+        let first = import(Tool::Csv, "t", &text, &map).unwrap();
+        let again = ColumnMap::parse("m".as_ref(), "[factors]\nhand = \"factor_hand\"").unwrap();
+        for policy in ["keep", "spatial", "temporal"] {
+            let mut conventions = first.conventions.clone();
+            conventions.set("outliers", policy).unwrap();
+            let table = trials_csv(&analyse_trials(&first.data, &conventions));
+            let second = import(Tool::Csv, "t", &table, &again).unwrap();
+            let (a, b) = (analyse(&first.data, &conventions), analyse(&second.data, &conventions));
+            assert_eq!(a.rows.len(), 6);
+            assert_eq!(a.exclusions, b.exclusions);
+            for (a, b) in a.rows.iter().zip(&b.rows) {
+                assert_eq!((&a.key, a.n, a.ends.x.tp), (&b.key, b.n, b.ends.x.tp));
+            }
+        }
+        let analysis = analyse(&first.data, &first.conventions);
+        assert!(
+            conditions_csv(&analysis).lines().next().unwrap().ends_with(",block,instruction,factor_hand")
+        );
+    }
 }

@@ -21,7 +21,7 @@ pub use convention::{
     Axis, Conventions, Difficulty, Frame, Front, MeanTime, Outliers, PathRule, Reach, SQRT_2_PI_E,
 };
 pub use design::{Order, permutations, shuffled, williams};
-pub use export::{conditions_csv, summary_json, trials_csv};
+pub use export::{conditions_csv, factor_column, summary_json, trials_csv};
 pub use import::{Column, ColumnMap, Imported, Maps, Scaled, Streamed, Tool, import, stream, together};
 #[cfg(feature = "parquet")]
 pub use import::{ParquetText, parquet_text, write_parquet};

@@ -50,8 +50,8 @@ pub struct Plan {
 }
 
 impl Study {
-    /// Sizes × levels of the other factors.
-    pub fn conditions(&self) -> Vec<(Size, BTreeMap<String, String>)> {
+    /// Combinations of the other factors' levels: at least one, which is empty where there are no others.
+    pub fn cells(&self) -> Vec<BTreeMap<String, String>> {
         let mut cells: Vec<BTreeMap<String, String>> = vec![BTreeMap::new()];
         for (name, levels) in &self.factors {
             cells = cells
@@ -65,35 +65,111 @@ impl Study {
                 })
                 .collect();
         }
+        cells
+    }
+
+    /// Sizes × levels of the other factors.
+    pub fn conditions(&self) -> Vec<(Size, BTreeMap<String, String>)> {
+        let cells = self.cells();
         self.sizes.iter().flat_map(|size| cells.iter().map(move |cell| (*size, cell.clone()))).collect()
     }
 
-    /// Predicted movement time of a size, seconds.
+    /// What was done, in sentences for a paper.
+    pub fn described(&self) -> Vec<String> {
+        let unit = if matches!(self.geometry, Geometry::Ray { .. }) { "rad" } else { "m" };
+        let listed = |mut values: Vec<f64>| {
+            values.sort_by(f64::total_cmp);
+            values.dedup();
+            let values: Vec<String> =
+                values.iter().map(|value| ((value * 1e5).round() / 1e5).to_string()).collect();
+            format!("{} {unit}", values.join(", "))
+        };
+        let kind = match self.geometry {
+            Geometry::Reciprocal => "Reciprocal movements between two targets (1D)".to_owned(),
+            Geometry::Ring { targets, plane } => {
+                format!("A ring of {targets} targets (ISO 9241-411), {}", plane.described())
+            }
+            Geometry::Depth => "Movements between a near and a far ball, along the line of sight".to_owned(),
+            Geometry::Ray { targets, .. } => {
+                format!("Pointing with a ray at a ring of {targets} targets; sizes are angles")
+            }
+            Geometry::Steering => "Steering through straight tunnels".to_owned(),
+            Geometry::Edge => "Targets at the edges of the screen".to_owned(),
+            Geometry::Corner => "Targets in the corners of the screen".to_owned(),
+        };
+        let widths: Vec<f64> = self.sizes.iter().filter_map(|size| size.width).collect();
+        let widths = if widths.is_empty() { String::new() } else { format!(", widths {}", listed(widths)) };
+        let mut found = vec![format!(
+            "{kind}, at {} m; amplitudes {}{widths}. Selection by {}.",
+            self.distance,
+            listed(self.sizes.iter().map(|size| size.amplitude).collect()),
+            match self.trigger {
+                Trigger::Trigger => "a press".to_owned(),
+                Trigger::Tap => "a tap".to_owned(),
+                Trigger::Dwell => format!("resting for {} s (there are no misses by design)", self.dwell_s),
+            }
+        )];
+        for (name, levels) in &self.factors {
+            found.push(format!("Factor {name}: {}.", levels.join(", ")));
+        }
+        for one in &self.instructions {
+            let pace = one.metronome.map_or_else(String::new, |pace| {
+                format!(" A metronome clicked at {:.0} % of the predicted time.", 100.0 * pace)
+            });
+            found.push(format!("Instruction {}: “{}”{pace}", one.name, one.text));
+        }
+        let repeats = self.repeat_above_error.map_or_else(String::new, |share| {
+            format!(
+                " A sequence with more than {:.0} % misses was repeated, at most {} times; the last complete attempt counts.",
+                100.0 * share,
+                self.most_repeats
+            )
+        });
+        found.push(format!(
+            "{} practice movements and {} that count per sequence; {} sequences per condition in a block, {} blocks in each of {} \
+             sessions, {} s of rest between blocks. Order of instructions: {}; of conditions: {}.{repeats}",
+            self.practice,
+            self.per_condition,
+            self.repetitions,
+            self.instructions.len(),
+            self.sessions,
+            self.break_s,
+            self.instruction_order,
+            self.condition_order
+        ));
+        found
+    }
+
+    /// What makes the task hard: A/W of tunnels, else Shannon's bits.
+    pub fn difficulty(&self) -> Difficulty {
+        if self.geometry == Geometry::Steering { Difficulty::Steering } else { Difficulty::Shannon }
+    }
+
+    /// Predicted movement time a + b ID of a size, seconds; for tunnels ID is A/W.
     pub fn predicted_s(&self, size: Size) -> f64 {
-        let bits = size
-            .width
-            .and_then(|width| difficulty(Difficulty::Shannon, size.amplitude, width))
-            .unwrap_or(1.0);
+        let bits =
+            size.width.and_then(|width| difficulty(self.difficulty(), size.amplitude, width)).unwrap_or(1.0);
         self.prediction[0] + self.prediction[1] * bits
     }
 
     /// After how many participants the orders are balanced.
     pub fn balanced_after(&self) -> usize {
-        let a = self.instruction_order.rows(self.instructions.len());
-        let b = self.condition_order.rows(self.conditions().len());
-        let gcd = |mut a: usize, mut b: usize| {
-            while b > 0 {
-                (a, b) = (b, a % b);
-            }
-            a
-        };
-        a / gcd(a, b).max(1) * b
+        // Each row of the conditions' orders comes with each row of the instructions'.
+        self.instruction_order
+            .rows(self.instructions.len())
+            .saturating_mul(self.condition_order.rows(self.conditions().len()))
     }
 
     /// What `pseudonym` will do: the same each time.
     pub fn plan(&self, pseudonym: &str) -> Plan {
         let number = number_of(pseudonym);
         let conditions = self.conditions();
+        // Conditions turn when the instructions' orders have been through, and one further from instruction to instruction:
+        // under each of them every order of conditions comes equally often.
+        let rows = self.instruction_order.rows(self.instructions.len()) as u64;
+        let turns = number / rows.max(1);
+        let told = self.instructions.len() as u64;
+        let repetitions = u64::from(self.repetitions);
         let blocks = (0..self.sessions).flat_map(|session| {
             // The next session has the next row of the square, so that sessions are balanced too.
             let order =
@@ -103,13 +179,18 @@ impl Study {
         let blocks = blocks.enumerate().map(|(place, (session, instruction))| {
             let mut trials = Vec::new();
             for repetition in 0..self.repetitions {
-                let round = place as u64 * u64::from(self.repetitions) + u64::from(repetition);
+                let round = place as u64 * repetitions + u64::from(repetition);
+                let fixed = (u64::from(session) * told + instruction as u64) * repetitions;
                 let order = match self.condition_order {
                     // A new shuffle each time: people must not learn it.
                     Order::Random => {
                         shuffled(conditions.len(), mixed(self.seed ^ mixed(number ^ mixed(round + 1))))
                     }
-                    other => other.of(conditions.len(), number + round, self.seed),
+                    other => other.of(
+                        conditions.len(),
+                        turns.wrapping_add(fixed + u64::from(repetition)),
+                        self.seed,
+                    ),
                 };
                 for index in order {
                     self.sequence(&conditions[index], &mut trials);

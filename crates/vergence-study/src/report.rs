@@ -23,7 +23,7 @@ fn number(value: Option<f64>) -> Cell {
 }
 
 /// The page. `title` heads it, `alternatives` (see [`crate::alternatives`]) become a table where there are any, `notes`
-/// (warnings of importers) are printed under the exclusions.
+/// (warnings of importers) are printed under the exclusions, `study` (see [`crate::Study::described`]) before the methods.
 ///
 /// # Errors
 /// Where a plot cannot be drawn.
@@ -32,29 +32,50 @@ pub fn page(
     analysis: &Analysis,
     alternatives: &[Alternative],
     notes: &[String],
+    study: &[String],
 ) -> Result<Page, Error> {
     let unit = analysis.length_unit.as_str();
+    let is_steering = analysis.conventions.difficulty == Difficulty::Steering;
+    let many = |n: u64, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    let throughput_text = if is_steering {
+        format!("Tunnels: {} of A/W per second", shown(analysis.steering_rate(), 3, ""))
+    } else {
+        format!(
+            "Throughput {} along the task axis{}",
+            shown(analysis.tp_mean_of_means(), 3, " bits/s"),
+            analysis
+                .tp_xy_mean_of_means()
+                .map_or_else(String::new, |tp| format!(", {tp:.3} bits/s in all dimensions"))
+        )
+    };
     let mut page = Page::new(title).paragraph(&format!(
-        "{} participant(s), {} trials in {} sequences (participant × session × block × condition). Throughput {} along the \
-         task axis{}; mean movement time {}; misses {}.",
-        analysis.participants(),
-        analysis.trials(),
-        analysis.rows.len(),
-        shown(analysis.tp_mean_of_means(), 3, " bits/s"),
-        analysis.tp_xy_mean_of_means().map_or_else(String::new, |tp| format!(", {tp:.3} bits/s in all dimensions")),
+        "{}, {} in {} (participant × session × block × condition). {throughput_text}; mean movement time {}; misses {}.",
+        many(analysis.participants() as u64, "participant"),
+        many(analysis.trials(), "trial"),
+        many(analysis.rows.len() as u64, "sequence"),
         shown(analysis.mean(|row| row.ends.mt_s), 3, " s"),
         shown(analysis.error_rate().map(|rate| 100.0 * rate), 1, " %"),
     ));
-    page = page.heading("Throughput").table(&throughput(analysis));
-    page = fitts(page, analysis)?;
-    page = trade(page, analysis)?;
-    page = errors(page, analysis)?;
+    page = page.heading(if is_steering { "Times" } else { "Throughput" }).table(&throughput(analysis));
+    for (name, factor) in &analysis.factors {
+        page = page.heading(&format!("By {name}")).table(&by_factor(name, factor));
+    }
+    if is_steering {
+        page = steering(page, analysis)?;
+    } else {
+        page = fitts(page, analysis)?;
+        page = trade(page, analysis)?;
+        page = errors(page, analysis)?;
+    }
     page = page.heading("Sequences");
     if analysis.rows.len() > MOST_ROWS {
         page = page.paragraph(&format!("The first {MOST_ROWS} of {}.", analysis.rows.len()));
     }
     page = page
-        .paragraph(&format!("Press a column's head to sort by it. Lengths in {unit}, times in seconds, IDe in bits, TP in bits/s."))
+        .paragraph(&format!(
+            "Press a column's head to sort by it. Lengths in {unit}, times in seconds{}.",
+            if is_steering { "" } else { ", IDe in bits, TP in bits/s" }
+        ))
         .table(&sequences(analysis));
     page = page.heading("What was left out");
     let mut left = Table::new(vec![Column::new("what", 0), Column::new("how many", 0)]);
@@ -64,6 +85,12 @@ pub fn page(
     page = page.table(&left);
     for note in notes {
         page = page.paragraph(&format!("Note: {note}."));
+    }
+    if !study.is_empty() {
+        page = page.heading("Study");
+    }
+    for sentence in study {
+        page = page.paragraph(sentence);
     }
     page = page.heading("Methods");
     for sentence in methods(analysis) {
@@ -116,7 +143,7 @@ fn throughput(analysis: &Analysis) -> Table {
     let mut groups: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
     for row in &analysis.rows {
         let name =
-            if by_instruction { row.instruction.as_deref().unwrap_or("") } else { &row.key.participant };
+            if by_instruction { row.key.instruction.as_deref().unwrap_or("") } else { &row.key.participant };
         groups.entry(name).or_default().push(row);
     }
     let head = if by_instruction { "instruction" } else { "participant" };
@@ -128,7 +155,7 @@ fn throughput(analysis: &Analysis) -> Table {
         ("TP by misses", 3),
         ("MT (s)", 3),
         ("misses (%)", 1),
-        ("SD along axis", 4),
+        ("SD along axis", length_decimals(analysis)),
     ];
     let mut table =
         Table::new(titles.into_iter().map(|(title, decimals)| Column::new(title, decimals)).collect());
@@ -157,8 +184,84 @@ fn throughput(analysis: &Analysis) -> Table {
     table.without_empty_columns()
 }
 
+/// Means over sequences by the levels of one factor.
+fn by_factor(name: &str, factor: &tradeoff::Stability) -> Table {
+    let titles = [
+        (name, 0),
+        ("sequences", 0),
+        ("TP (bits/s)", 3),
+        ("SD over people", 3),
+        ("MT (s)", 3),
+        ("misses (%)", 1),
+    ];
+    let mut table =
+        Table::new(titles.into_iter().map(|(title, decimals)| Column::new(title, decimals)).collect());
+    for level in &factor.levels {
+        let numbers =
+            [level.tp, level.tp_sd_of_people, level.mt_s, level.error_rate.map(|rate| 100.0 * rate)];
+        let mut cells = vec![Cell::Text(level.name.clone()), Cell::Number(level.sequences as f64)];
+        cells.extend(numbers.map(number));
+        table.push(cells, false);
+    }
+    table.without_empty_columns()
+}
+
+/// Decimals of lengths, so that a usual spread has three digits: 1 for pixels, 5 for metres.
+fn length_decimals(analysis: &Analysis) -> usize {
+    let spreads: Vec<f64> = analysis.rows.iter().filter_map(|row| row.ends.x.sd.or(row.path.mv)).collect();
+    let usual = vergence_stats::median(&spreads).filter(|usual| *usual > 0.0);
+    usual.map_or(4, |usual| (2.0 - usual.log10().floor()).clamp(0.0, 9.0) as usize)
+}
+
+/// Movement time and the difficulty of tunnels.
+fn steering(page: Page, analysis: &Analysis) -> Result<Page, Error> {
+    let mut plot = Plot::new(
+        "Movement time and A/W",
+        PlotAxis::linear("A/W of the tunnel"),
+        PlotAxis::linear("mean movement time (s)"),
+    );
+    for (name, rows) in grouped(analysis) {
+        let points = rows
+            .iter()
+            .filter_map(|row| Some(Point::new(row.id?, row.ends.mt_s?).with_tooltip(tooltip(row))));
+        plot = plot.with(Series::new(name, Style::FaintPoints, points.collect()));
+    }
+    let mut text = "Too few sequences for a line.".to_owned();
+    if let Some(fit) = &analysis.fit_nominal {
+        let ids = analysis.rows.iter().filter_map(|row| row.id);
+        let (low, high) = ids.fold((f64::INFINITY, 0f64), |(low, high), id| (low.min(id), high.max(id)));
+        let line = [low, high].map(|x| Point::new(x, fit.a + fit.b * x)).to_vec();
+        plot = plot.with(Series::new("T = a + b A/W", Style::Curve, line));
+        let interval = |i: usize| {
+            fit.intervals[i]
+                .map_or_else(String::new, |(from, to)| format!(" (95 % interval {from:.4} to {to:.4} s)"))
+        };
+        text = format!(
+            "T = a + b A/W over {} sequences by least squares: a = {:.4} s{}, b = {:.4} s{}, r = {}; 1/b = {:.3} of A/W per \
+             second.",
+            fit.n,
+            fit.a,
+            interval(0),
+            fit.b,
+            interval(1),
+            shown(fit.r, 4, ""),
+            1.0 / fit.b
+        );
+    }
+    Ok(page.heading("Steering law").plot(&plot)?.paragraph(&text))
+}
+
 fn tooltip(row: &Row) -> String {
     let key = &row.key;
+    if row.ends.x.ide.is_none() {
+        return format!(
+            "{} {} {}: MT {}",
+            key.participant,
+            key.session,
+            key.condition,
+            shown(row.ends.mt_s, 3, " s")
+        );
+    }
     format!(
         "{} {} {}: IDe {}, MT {}, TP {}",
         key.participant,
@@ -174,7 +277,7 @@ fn tooltip(row: &Row) -> String {
 fn grouped(analysis: &Analysis) -> Vec<(String, Vec<&Row>)> {
     let mut groups: BTreeMap<&str, Vec<&Row>> = BTreeMap::new();
     for row in analysis.rows.iter().take(MOST_ROWS) {
-        groups.entry(row.instruction.as_deref().unwrap_or("sequences")).or_default().push(row);
+        groups.entry(row.key.instruction.as_deref().unwrap_or("sequences")).or_default().push(row);
     }
     groups.into_iter().map(|(name, rows)| (name.to_owned(), rows)).collect()
 }
@@ -285,7 +388,10 @@ fn trade(page: Page, analysis: &Analysis) -> Result<Page, Error> {
             });
             plot = plot.with(Series::new(name, Style::Line, points.collect()));
         }
-        page = page.plot(&plot)?;
+        page = page.plot(&plot)?.paragraph(
+            "Fifths of each sequence by movement time, and the means of these over sequences: what is slow because it is hard, or \
+             because somebody is slow, is not compared with what is fast.",
+        );
     }
     Ok(page)
 }
@@ -331,28 +437,34 @@ fn sequences(analysis: &Analysis) -> Table {
         ("session", &|row| row.key.session.clone()),
         ("block", &|row| row.key.block.clone()),
         ("condition", &|row| row.key.condition.clone()),
-        ("instruction", &|row| row.instruction.clone().unwrap_or_default()),
+        ("instruction", &|row| row.key.instruction.clone().unwrap_or_default()),
     ];
     let texts: Vec<_> = texts.into_iter().filter(|(name, of)| *name == "condition" || several(of)).collect();
-    let numbers: [(&str, usize, Value<'_>); 12] = [
+    let is_steering = analysis.conventions.difficulty == Difficulty::Steering;
+    let decimals = length_decimals(analysis);
+    let numbers: [(&str, usize, Value<'_>); 13] = [
         ("n", 0, &|row| Some(row.n as f64)),
         ("MT", 3, &|row| row.ends.mt_s),
         ("misses (%)", 1, &|row| row.ends.error_rate.map(|rate| 100.0 * rate)),
+        ("A/W", 2, &|row| row.id.filter(|_| is_steering)),
         ("IDe", 3, &|row| row.ends.x.ide),
         ("TP", 3, &|row| row.ends.x.tp),
         ("TP all", 3, &|row| row.ends.xy.tp),
-        ("Ae", 4, &|row| row.ends.x.amplitude),
-        ("SD", 4, &|row| row.ends.x.sd),
-        ("We", 4, &|row| row.ends.x.we),
-        ("SD all", 4, &|row| row.ends.xy.sd),
+        ("Ae", decimals, &|row| row.ends.x.amplitude.filter(|_| !is_steering)),
+        ("SD", decimals, &|row| row.ends.x.sd),
+        ("We", decimals, &|row| row.ends.x.we),
+        ("SD all", decimals, &|row| row.ends.xy.sd),
         ("left out", 0, &|row| Some(row.outliers as f64)),
-        ("bias", 4, &|row| row.ends.bias),
+        ("bias", decimals, &|row| row.ends.bias.filter(|_| !is_steering)),
     ];
     let paths: Vec<usize> =
         (0..9).filter(|i| analysis.rows.iter().any(|row| row.path.values()[*i].is_some())).collect();
     let columns = texts.iter().map(|(name, _)| Column::new(*name, 0));
     let columns = columns.chain(numbers.iter().map(|(name, decimals, _)| Column::new(*name, *decimals)));
-    let columns = columns.chain(paths.iter().map(|i| Column::new(PathMeasures::NAMES[*i].to_uppercase(), 2)));
+    let columns = columns.chain(paths.iter().map(|i| {
+        let name = PathMeasures::NAMES[*i];
+        Column::new(name.to_uppercase(), if ["mv", "me", "mo"].contains(&name) { decimals } else { 2 })
+    }));
     let mut table = Table::new(columns.collect());
     for row in analysis.rows.iter().take(MOST_ROWS) {
         let cells = texts.iter().map(|(_, of)| Cell::Text(of(row)));
@@ -394,6 +506,9 @@ fn methods(analysis: &Analysis) -> Vec<String> {
     let id = match c.difficulty {
         Difficulty::Shannon => "log2(A/W + 1)",
         Difficulty::Fitts => "log2(2 A/W)",
+        Difficulty::Steering => "A/W",
+        Difficulty::Angular => "log2(α/ω³ + 1)² (Kopper et al. 2010, in bits²)",
+        Difficulty::Meyer => "2 √(A/W) (Meyer et al. 1988, without unit)",
     };
     let time = match c.mean_time {
         MeanTime::Exact => "",
@@ -405,7 +520,7 @@ fn methods(analysis: &Analysis) -> Vec<String> {
             "Misses that ended before half the amplitude or more than 2 W from the centre were left out."
         }
         Outliers::ThreeSd => {
-            "Trials whose time or end lies more than 3 SD from the mean of its sequence were left out."
+            "Trials whose time or end lies more than 3 SD from the mean of its sequence were left out; in a sequence of 10 trials or fewer none can."
         }
         Outliers::Mad => {
             "Trials whose time lies more than 3 scaled median absolute deviations from the median of its sequence were left out."
@@ -420,11 +535,37 @@ fn methods(analysis: &Analysis) -> Vec<String> {
             c.turn_jump,
             u = analysis.length_unit
         ),
+        PathRule::GoFitts => format!(
+            "Paths are counted as GoFitts does: directions without runs of one or two steps; crossings beyond ±{} {u}, turns behind \
+             {} {u}.",
+            c.crossing_band,
+            c.turn_jump,
+            u = analysis.length_unit
+        ),
         PathRule::Smoothed => {
             "Paths are resampled at 100 Hz and smoothed by a Gaussian of 5 samples before counting."
                 .to_owned()
         }
     };
+    let path = format!(
+        "{path} Paths are taken in the frame of the axis: x along it, y beside it. TRE: entries of the target after the first. TAC: \
+         crossings of the axis. MDC, ODC: turns of y, of x. MV: SD of y (n − 1); ME: mean |y|; MO: mean y (MacKenzie, Kauppinen and \
+         Silfverberg 2001). Submovements are peaks of the speed, smoothed (Meyer et al. 1988); overshoots, passages of the target's \
+         far side."
+    );
+    let computed = format!("Computed by vergence-study {}.", env!("CARGO_PKG_VERSION"));
+    if c.difficulty == Difficulty::Steering {
+        return vec![
+            format!(
+                "Difficulty is ID = {id} of each tunnel, amplitude (length) over width, without unit; T = a + b ID (Accot and Zhai \
+                 1997). Where a tunnel was left says nothing of accuracy: there is no effective width and no throughput. A miss is a \
+                 tunnel that was left sideways.{time}"
+            ),
+            format!("{outliers} Misses are counted among all trials that are not practice."),
+            path,
+            computed,
+        ];
+    }
     vec![
         format!(
             "Difficulty is ID = {id} (bits); effective width We = {factor} · SD of the ends along the task axis (n − 1), IDe with the mean amplitude Ae, throughput TP = IDe / mean MT for each sequence, then the mean of these means. Points of different people are never pooled.{time}"
@@ -435,10 +576,8 @@ fn methods(analysis: &Analysis) -> Vec<String> {
          none did (MacKenzie 1992; Soukoreff and MacKenzie 2004), with the nominal amplitude."
             .to_owned(),
         format!("{outliers} Misses are counted among all trials that are not practice."),
-        format!(
-            "{path} TRE, TAC, MDC, ODC, MV, ME and MO follow MacKenzie, Kauppinen and Silfverberg (2001)."
-        ),
-        format!("Computed by vergence-study {}.", env!("CARGO_PKG_VERSION")),
+        path,
+        computed,
     ]
 }
 
@@ -466,10 +605,15 @@ mod tests {
         }
         let found = import(Tool::Csv, "t", &text, &ColumnMap::default()).unwrap();
         let analysis = analyse(&found.data, &found.conventions);
-        let html =
-            page("Test <1>", &analysis, &alternatives(&found.data, &found.conventions), &["a note".into()])
-                .unwrap()
-                .to_html();
+        let html = page(
+            "Test <1>",
+            &analysis,
+            &alternatives(&found.data, &found.conventions),
+            &["a note".into()],
+            &["a ring".into()],
+        )
+        .unwrap()
+        .to_html();
         assert_eq!(html.matches("<svg").count(), 4);
         for part in [
             "Test &lt;1&gt;",

@@ -265,20 +265,21 @@ impl Study {
         let wrong = |offset: usize, message: &str| -> Error {
             vergence_config::invalid_at(path, text, offset, message).into()
         };
-        let sizes = |list: &toml::Spanned<Vec<toml::Spanned<String>>>| -> Result<Vec<f64>, Error> {
-            if list.get_ref().is_empty() {
-                return Err(wrong(list.span().start, "expected at least one size, found none"));
-            }
-            list.get_ref()
-                .iter()
-                .map(|text| {
-                    let place = text.span().start;
-                    let value = size(raw.task.kind == Kind::Ray, text.get_ref())
-                        .map_err(|message| wrong(place, &message))?;
-                    if value > 0.0 { Ok(value) } else { Err(wrong(place, "expected a size above zero")) }
-                })
-                .collect()
-        };
+        let sizes =
+            |list: &toml::Spanned<Vec<toml::Spanned<String>>>, distance: f64| -> Result<Vec<f64>, Error> {
+                if list.get_ref().is_empty() {
+                    return Err(wrong(list.span().start, "expected at least one size, found none"));
+                }
+                list.get_ref()
+                    .iter()
+                    .map(|text| {
+                        let place = text.span().start;
+                        let value = size(raw.task.kind == Kind::Ray, distance, text.get_ref())
+                            .map_err(|message| wrong(place, &message))?;
+                        if value > 0.0 { Ok(value) } else { Err(wrong(place, "expected a size above zero")) }
+                    })
+                    .collect()
+            };
         // Two alike would be one condition, analysed as one sequence of twice the length.
         let different = |list: &toml::Spanned<Vec<toml::Spanned<String>>>, sizes: &[f64]| {
             let again = (1..sizes.len()).find(|&i| sizes[..i].contains(&sizes[i]));
@@ -296,7 +297,16 @@ impl Study {
             let expected = if least > 0.0 { "above zero" } else { "of zero or more" };
             Err(wrong(value.span().start, &format!("expected a time {expected}, found {seconds} s")))
         };
-        let amplitudes = sizes(&raw.task.amplitudes)?;
+        let distance = match &raw.task.distance {
+            None => 0.6,
+            Some(length) if length.get_ref().metres() > 0.0 => length.get_ref().metres(),
+            Some(length) => {
+                let message =
+                    format!("expected a distance above zero, found {} m", length.get_ref().metres());
+                return Err(wrong(length.span().start, &message));
+            }
+        };
+        let amplitudes = sizes(&raw.task.amplitudes, distance)?;
         different(&raw.task.amplitudes, &amplitudes)?;
         let widths: Vec<Option<f64>> = match (&raw.task.widths, raw.task.kind) {
             (None, Kind::Edge | Kind::Corner) => vec![None],
@@ -307,7 +317,7 @@ impl Study {
                 ));
             }
             (Some(list), _) => {
-                let widths = sizes(list)?;
+                let widths = sizes(list, distance)?;
                 different(list, &widths)?;
                 widths.into_iter().map(Some).collect()
             }
@@ -325,15 +335,6 @@ impl Study {
                 &format!("expected an odd number of targets from 3 to 999, found {targets}"),
             ));
         }
-        let distance = match &raw.task.distance {
-            None => 0.6,
-            Some(length) if length.get_ref().metres() > 0.0 => length.get_ref().metres(),
-            Some(length) => {
-                let message =
-                    format!("expected a distance above zero, found {} m", length.get_ref().metres());
-                return Err(wrong(length.span().start, &message));
-            }
-        };
         let plane = raw.task.plane.map_or(Plane::Xy, RawPlane::resolved);
         let geometry = match raw.task.kind {
             Kind::Ring => Geometry::Ring { targets, plane },
@@ -468,17 +469,22 @@ impl Study {
     }
 }
 
-/// A length or an angle with its unit, in metres or radians.
-fn size(angle: bool, text: &str) -> Result<f64, String> {
+/// A size with its unit: of a ray an angle, in radians; of anything else a length, in metres, which may be given as the angle
+/// under which it is seen from `distance`, its middle straight ahead.
+fn size(of_ray: bool, distance: f64, text: &str) -> Result<f64, String> {
     #[derive(Deserialize)]
     struct Both<T> {
         v: T,
     }
     let document = format!("v = {:?}", text);
-    let value = if angle {
-        vergence_config::parse::<Both<Angle>>("", &document).map(|both| both.v.radians())
-    } else {
-        vergence_config::parse::<Both<Length>>("", &document).map(|both| both.v.metres())
+    let angle = vergence_config::parse::<Both<Angle>>("", &document).map(|both| both.v.radians());
+    let value = match angle {
+        _ if of_ray => angle,
+        Ok(angle) if angle >= std::f64::consts::PI => {
+            return Err("expected an angle below 180 degrees, or a length".to_owned());
+        }
+        Ok(angle) => return Ok(2.0 * distance * (0.5 * angle).tan()),
+        Err(_) => vergence_config::parse::<Both<Length>>("", &document).map(|both| both.v.metres()),
     };
     value.map_err(|error| match error {
         vergence_config::Error::Invalid { message, .. } => message,
@@ -527,6 +533,40 @@ mod tests {
             |blocks: &[PlannedBlock]| blocks.iter().map(|block| block.instruction).collect::<Vec<_>>();
         assert_ne!(order(&two.blocks[..3]), order(&two.blocks[3..]));
         assert_ne!(two.blocks[0].trials, two.blocks[3].trials);
+    }
+
+    #[test]
+    fn orders_are_balanced_under_each_instruction() {
+        let text = TEMPLATE
+            .replace("conditions = \"random\"", "conditions = \"williams\"")
+            .replace("[\"0.15 m\", \"0.25 m\", \"0.35 m\"]", "[\"0.15 m\", \"0.25 m\"]")
+            .replace(", \"0.03 m\", \"0.04 m\"]", "]")
+            .replace("# sessions = 2", "sessions = 2");
+        let study = Study::parse(Path::new("t.toml"), &text).unwrap();
+        assert_eq!((study.conditions().len(), study.balanced_after()), (4, 6 * 4));
+        let mut places = BTreeMap::new();
+        for number in 1..=study.balanced_after() {
+            for block in study.plan(&format!("P{number:02}")).blocks {
+                for (place, first) in block.trials.iter().step_by(15).enumerate() {
+                    let cell = (block.session, block.instruction, place, first.condition.clone());
+                    *places.entry(cell).or_insert(0) += 1;
+                }
+            }
+        }
+        // Each condition in each place equally often, in each session under each instruction.
+        assert_eq!(places.len(), 2 * 3 * 4 * 4);
+        assert!(places.values().all(|count| *count == 6), "{places:?}");
+        assert_ne!(study.plan("P00").blocks, study.plan("P01").blocks);
+    }
+
+    #[test]
+    fn sizes_may_be_the_angles_under_which_they_are_seen() {
+        let text = TEMPLATE.replace("\"0.04 m\"]", "\"5 deg\"]");
+        let study = Study::parse(Path::new("t.toml"), &text).unwrap();
+        let widest = study.sizes.iter().filter_map(|size| size.width).fold(0.0, f64::max);
+        assert!((widest - 2.0 * 0.6 * 2.5f64.to_radians().tan()).abs() < 1e-12, "{widest}");
+        let wrong = Study::parse(Path::new("t.toml"), &text.replace("5 deg", "180 deg")).unwrap_err();
+        assert!(wrong.to_string().contains("expected an angle below 180 degrees"), "{wrong}");
     }
 
     #[test]

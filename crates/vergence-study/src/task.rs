@@ -21,6 +21,20 @@ pub enum Plane {
 }
 
 impl Plane {
+    /// In words.
+    pub fn described(self) -> String {
+        match self {
+            Self::Xy => "upright, facing the viewer".to_owned(),
+            Self::Yz => "upright, seen from its edge".to_owned(),
+            Self::Zx => "level".to_owned(),
+            Self::Turned { yaw_rad, pitch_rad } => format!(
+                "its right side turned away by {:.1} and its top leaned away by {:.1} degrees",
+                yaw_rad.to_degrees(),
+                pitch_rad.to_degrees()
+            ),
+        }
+    }
+
     /// The place of `right` and `up` in this plane, of which `up` is towards the ring's first target.
     pub fn place(self, right: f64, up: f64) -> Point {
         match self {

@@ -2,7 +2,9 @@
 
 use vergence_stats::{Moments, linear, quantile};
 
-use crate::analysis::Row;
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::analysis::{Key, Row};
 use crate::convention::{Conventions, Front};
 use crate::measure::fitts::predicted_error;
 
@@ -108,6 +110,8 @@ pub struct Level {
     pub tp: Option<f64>,
     /// As above.
     pub error_rate: Option<f64>,
+    /// Standard deviation of the participants' mean throughputs (n − 1), bits/s.
+    pub tp_sd_of_people: Option<f64>,
 }
 
 /// How steady throughput is when people trade speed for accuracy.
@@ -121,17 +125,36 @@ pub struct Stability {
 
 /// Means by instruction over the rows that have one.
 pub fn stability(rows: &[Row]) -> Option<Stability> {
-    let mut names: Vec<&str> = rows.iter().filter_map(|row| row.instruction.as_deref()).collect();
+    levels_of(rows, |row| row.key.instruction.as_deref())
+}
+
+/// Means by each other factor that has more than one level.
+pub(crate) fn by_factors(rows: &[Row]) -> Vec<(String, Stability)> {
+    let names: BTreeSet<&String> = rows.iter().flat_map(|row| row.key.factors.keys()).collect();
+    let by = |name: &String| {
+        let levels = levels_of(rows, |row| row.key.factors.get(name).map(String::as_str))?;
+        (levels.levels.len() > 1).then(|| (name.clone(), levels))
+    };
+    names.into_iter().filter_map(by).collect()
+}
+
+fn levels_of(rows: &[Row], of: impl Fn(&Row) -> Option<&str>) -> Option<Stability> {
+    let mut names: Vec<&str> = rows.iter().filter_map(&of).collect();
     names.sort_unstable();
     names.dedup();
     if names.is_empty() {
         return None;
     }
     let level = |name: &str| {
-        let own: Vec<&Row> = rows.iter().filter(|row| row.instruction.as_deref() == Some(name)).collect();
+        let own: Vec<&Row> = rows.iter().filter(|row| of(row) == Some(name)).collect();
         let mean = |of: &dyn Fn(&Row) -> Option<f64>| {
             own.iter().filter_map(|row| of(row)).collect::<Moments>().mean()
         };
+        let mut people: BTreeMap<&str, Moments> = BTreeMap::new();
+        for (row, tp) in own.iter().filter_map(|row| Some((row, row.ends.x.tp?))) {
+            people.entry(&row.key.participant).or_default().push(tp);
+        }
+        let people: Moments = people.values().filter_map(Moments::mean).collect();
         Level {
             name: name.to_owned(),
             sequences: own.len(),
@@ -139,6 +162,7 @@ pub fn stability(rows: &[Row]) -> Option<Stability> {
             sd: mean(&|row| row.ends.x.sd),
             tp: mean(&|row| row.ends.x.tp),
             error_rate: mean(&|row| row.ends.error_rate),
+            tp_sd_of_people: people.sd(),
         }
     };
     let levels: Vec<Level> = names.into_iter().map(level).collect();
@@ -179,6 +203,38 @@ pub fn conditional_accuracy(trials: &[(f64, bool)], bins: usize) -> Vec<CafBin> 
         from = to;
     }
     found
+}
+
+/// Means of the sequences' conditional accuracy functions, bin by bin, by instruction (Vincent's averaging): what is slow
+/// because it is hard, or because somebody is slow, is not compared with what is fast. Sequences of fewer trials than bins,
+/// or with equal times, are left out.
+pub(crate) fn mean_accuracy(
+    sequences: BTreeMap<Key, Vec<(f64, bool)>>,
+    bins: usize,
+) -> Vec<(String, Vec<CafBin>)> {
+    let mut by: BTreeMap<String, Vec<[Moments; 2]>> = BTreeMap::new();
+    let mut counts: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for (key, trials) in sequences {
+        let own = conditional_accuracy(&trials, bins);
+        if own.len() < bins {
+            continue;
+        }
+        let name = key.instruction.unwrap_or_default();
+        let sums = by.entry(name.clone()).or_insert_with(|| vec![<_>::default(); bins]);
+        let counts = counts.entry(name).or_insert_with(|| vec![0; bins]);
+        for ((sum, count), bin) in sums.iter_mut().zip(counts).zip(own) {
+            sum[0].push(bin.mt_s);
+            sum[1].push(bin.error_rate);
+            *count += bin.n;
+        }
+    }
+    let mean = |sum: &Moments| sum.mean().unwrap_or_default();
+    let bins = |(name, sums): (String, Vec<[Moments; 2]>)| {
+        let own = sums.iter().zip(&counts[&name]);
+        let own = own.map(|(sum, &n)| CafBin { mt_s: mean(&sum[0]), error_rate: mean(&sum[1]), n }).collect();
+        (name, own)
+    };
+    by.into_iter().map(bins).collect()
 }
 
 /// The error model for pointing (Wobbrock et al. 2008): predicted against observed shares of misses.
@@ -241,6 +297,26 @@ mod tests {
         assert_eq!(front_of(&points, Front::Pareto), [0, 1, 2]);
         assert_eq!(front_of(&points, Front::Convex), [0, 2]);
         assert_eq!(front_of(&points, Front::All).len(), 5);
+    }
+
+    #[test]
+    fn what_is_slow_because_it_is_hard_is_not_taken_for_care() {
+        // In each of two conditions haste misses more; the slow one misses more altogether.
+        let sequence = |slow: f64, misses: usize| -> Vec<(f64, bool)> {
+            (0..50).map(|i| (slow + 0.01 * i as f64, i < misses)).collect()
+        };
+        let key = |condition: &str| Key { condition: condition.into(), ..Key::default() };
+        let all = BTreeMap::from([(key("easy"), sequence(0.3, 5)), (key("hard"), sequence(2.0, 20))]);
+        let pooled: Vec<_> = all.values().flatten().copied().collect();
+        let pooled = conditional_accuracy(&pooled, 5);
+        assert!(pooled[3].error_rate > pooled[1].error_rate);
+        let own = mean_accuracy(all, 5);
+        let rates: Vec<f64> = own[0].1.iter().map(|bin| bin.error_rate).collect();
+        assert_eq!(rates, [0.75, 0.5, 0.0, 0.0, 0.0]);
+        assert_eq!(own[0].1.iter().map(|bin| bin.n).sum::<usize>(), 100);
+        assert!(
+            mean_accuracy(BTreeMap::from([(key("short"), sequence(1.0, 1)[..4].to_vec())]), 5).is_empty()
+        );
     }
 
     #[test]

@@ -319,6 +319,22 @@ impl Bound {
         })
     }
 
+    /// What is doubtful in a table of which `absent` rows were left out.
+    pub fn warnings(&self, absent: u64) -> Vec<String> {
+        let mut found = Vec::new();
+        if absent > 0 {
+            found.push(format!("{absent} rows are not wanted by the map or lack a number it needs"));
+        }
+        let has = |slot: usize| self.numbers[slot].is_some();
+        if !has(at::END) && !has(at::AMPLITUDE) && !has(at::AE) {
+            found.push(
+                "no column is the amplitude (or ae): there are spreads, and no difficulty or throughput"
+                    .to_owned(),
+            );
+        }
+        found
+    }
+
     /// Fills the numbers and flags of `trial` from a row. False where the row is not wanted or lacks a number that is
     /// needed.
     pub fn fill(&self, row: &ByteRecord, line: u64, trial: &mut Trial) -> Result<bool, Error> {
@@ -333,6 +349,13 @@ impl Bound {
         }
         let value = |slot: usize| self.value(row, line, slot);
         let Some(mt) = value(at::MT)? else { return Ok(false) };
+        if mt <= 0.0 {
+            let column = match &self.numbers[at::MT] {
+                Some(Source::Cell { place, .. }) => self.header[*place].clone(),
+                _ => "mt".to_owned(),
+            };
+            return Err(Error::Cell { line, column, expected: "a time above zero", found: mt.to_string() });
+        }
         trial.mt_s = mt * self.seconds;
         trial.amplitude = value(at::AMPLITUDE)?;
         trial.width = value(at::WIDTH)?.filter(|width| *width > 0.0);
@@ -345,18 +368,21 @@ impl Bound {
             let Some(end) = point(at::END)? else { return Ok(false) };
             trial.end = end;
             trial.from = point(at::FROM)?;
-            trial.start = point(at::START)?;
+            trial.start = point(at::START)?.or(trial.from);
             let nominal = trial.amplitude.unwrap_or(0.0);
             let begin = trial.from.or(trial.start).unwrap_or_default();
             trial.to = point(at::TO)?.unwrap_or([begin[0] + nominal, begin[1], begin[2]]);
         } else {
-            // Ends relative to the target: the axis is x, from 0 to the amplitude.
+            // Ends relative to the target: the axis is x, from 0 to the amplitude. Without one, where a movement began is
+            // not known: `from` is any place on the axis.
             let Some(offset) = point(at::DX)? else { return Ok(false) };
-            let nominal = trial.amplitude.unwrap_or(1.0);
-            trial.from = Some([0.0; 3]);
-            trial.to = [nominal, 0.0, 0.0];
-            trial.end = [nominal + offset[0], offset[1], offset[2]];
-            trial.start = Some([value(at::AE)?.map_or(0.0, |ae| trial.end[0] - ae), 0.0, 0.0]);
+            let nominal = trial.amplitude;
+            trial.from = Some([nominal.map_or(-1.0, |_| 0.0), 0.0, 0.0]);
+            let place = nominal.unwrap_or(0.0);
+            trial.to = [place, 0.0, 0.0];
+            trial.end = [place + offset[0], offset[1], offset[2]];
+            let begin = value(at::AE)?.map(|ae| trial.end[0] - ae).or(nominal.map(|_| 0.0));
+            trial.start = begin.map(|x| [x, 0.0, 0.0]);
         }
         let mut path = [None; 9];
         for (i, slot) in path.iter_mut().enumerate() {
@@ -368,6 +394,9 @@ impl Bound {
         let flag = |i: usize| -> Result<Option<bool>, Error> {
             let Some(place) = self.flags[i] else { return Ok(None) };
             let cell = String::from_utf8_lossy(&row[place]);
+            if cell.trim().is_empty() {
+                return Ok(None);
+            }
             super::truth(&cell, &self.header[place], line).map(Some)
         };
         trial.error = match (flag(0)?, flag(1)?) {
@@ -420,13 +449,11 @@ impl Bound {
             key.extend_from_slice(trimmed(&row[*place]));
             key.push(0);
         }
-        if self.texts[3].is_empty() {
-            for slot in [at::AMPLITUDE, at::WIDTH] {
-                if let Some(Source::Cell { place, .. }) = &self.numbers[slot] {
-                    key.extend_from_slice(trimmed(&row[*place]));
-                }
-                key.push(0);
+        for slot in [at::AMPLITUDE, at::WIDTH] {
+            if let Some(Source::Cell { place, .. }) = &self.numbers[slot] {
+                key.extend_from_slice(trimmed(&row[*place]));
             }
+            key.push(0);
         }
     }
 
@@ -494,10 +521,9 @@ pub(super) fn read(text: &str, map: &ColumnMap) -> Result<Imported, Error> {
     if trials.is_empty() {
         return Err(Error::Empty { what: "trials" });
     }
-    let warnings =
-        (absent > 0).then(|| format!("{absent} rows are not wanted by the map or lack a number it needs"));
+    let warnings = bound.warnings(absent);
     let data = DataSet { length_unit: bound.length_unit.clone(), dimensions: bound.dimensions, trials };
-    Ok(Imported { data, conventions: bound.conventions, warnings: warnings.into_iter().collect() })
+    Ok(Imported { data, conventions: bound.conventions, warnings })
 }
 
 #[cfg(test)]

@@ -35,7 +35,7 @@ pub enum Tool {
     FittsStudy,
     /// 3DFitts' tests (.json).
     ThreeDFitts,
-    /// GoFitts' and FittsTaskTwo's traces (.sd3).
+    /// GoFitts' and FittsTaskTwo's trials (.sd1) and traces (.sd3).
     GoFitts,
     /// Columns by name, with a map.
     Csv,
@@ -49,7 +49,7 @@ impl Tool {
             Self::ThreeDFitts
         } else if head.starts_with('<') || head.contains("Circular?,") || head.starts_with("FittsStudy log") {
             Self::FittsStudy
-        } else if head.starts_with("TRACE DATA") {
+        } else if head.starts_with("TRACE DATA") || gofitts::is_trials(head) {
             Self::GoFitts
         } else {
             Self::Csv
@@ -93,6 +93,14 @@ pub fn together(parts: Vec<Imported>) -> Result<Imported, Error> {
         all.warnings.extend(part.warnings);
     }
     all.warnings.extend(duplicates(&all.data));
+    let times: Vec<f64> = all.data.trials.iter().map(|trial| trial.mt_s).collect();
+    all.warnings.extend(time_slip(&times));
+    all.warnings.extend(length_slip(&all.data));
+    all.warnings.extend(nobody_in_particular(&all.data));
+    let backward = times.iter().filter(|mt_s| **mt_s <= 0.0).count();
+    if backward > 0 {
+        all.warnings.push(format!("{backward} trials have a movement time of zero or less"));
+    }
     all.warnings.dedup();
     Ok(all)
 }
@@ -116,6 +124,47 @@ fn duplicates(data: &DataSet) -> Option<String> {
     // One coincidence is chance; a fifth of all trials is a copy.
     (copies * 5 > data.trials.len() && copies > 1)
         .then(|| format!("{copies} trials are in more than one session: is a session there twice?"))
+}
+
+/// Movement times that nobody needs, and that are usual in another unit.
+fn time_slip(times_s: &[f64]) -> Option<String> {
+    let usual = vergence_stats::median(times_s)?;
+    let in_what = match usual {
+        50.0.. => "milliseconds that are read as seconds",
+        ..0.02 => "seconds that are read as milliseconds",
+        _ => return None,
+    };
+    Some(format!("the median movement time is {usual:.4} s: are these {in_what}?"))
+}
+
+/// Movements that are many times as long as their targets are apart, or as short.
+fn length_slip(data: &DataSet) -> Option<String> {
+    let ratio = |trial: &crate::Trial| {
+        let (start, amplitude) = (trial.start?, trial.amplitude.filter(|a| *a > 0.0)?);
+        let reach = (0..3).map(|i| (trial.end[i] - start[i]).powi(2)).sum::<f64>().sqrt();
+        Some(reach / amplitude)
+    };
+    let ratios: Vec<f64> = data.trials.iter().filter_map(ratio).collect();
+    let usual = vergence_stats::median(&ratios).filter(|usual| !(0.1..10.0).contains(usual))?;
+    Some(format!(
+        "movements are {usual:.4} times as long as their amplitudes (median): are ends and amplitudes in one unit?"
+    ))
+}
+
+/// One name in nearly all of many recordings.
+fn nobody_in_particular(data: &DataSet) -> Option<String> {
+    let mut sessions: std::collections::BTreeMap<&str, std::collections::BTreeSet<&str>> = Default::default();
+    for trial in &data.trials {
+        sessions.entry(&trial.participant).or_default().insert(&trial.session);
+    }
+    let all: usize = sessions.values().map(std::collections::BTreeSet::len).sum();
+    let (name, most) = sessions.iter().map(|(name, own)| (*name, own.len())).max_by_key(|(_, n)| *n)?;
+    (sessions.len() > 1 && all > 4 && 5 * most > 4 * all && name != "unknown").then(|| {
+        format!(
+            "{most} of {all} sessions are of participant {name:?}: if they are of different people, counts of participants and \
+             means over them are not (sequences are told apart by session)"
+        )
+    })
 }
 
 /// The cell of a row, as a number.

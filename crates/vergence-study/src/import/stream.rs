@@ -1,6 +1,7 @@
 //! Millions of rows: the table is cut at line ends, pieces are summed side by side, sums are merged in order. Memory is a
 //! few pieces and one set of sums per sequence; the answer does not depend on how many threads there are.
 
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
 use std::io::Read;
 use std::sync::Mutex;
@@ -11,7 +12,7 @@ use vergence_stats::Moments;
 
 use super::columns::{Bound, ColumnMap, reader_of};
 use crate::Error;
-use crate::analysis::{Analysis, Key, Row, finished, summarised};
+use crate::analysis::{Analysis, Key, Row, finished, key_of, summarised};
 use crate::convention::{Axis, Conventions, Outliers};
 use crate::measure::ends::{Sequence, end_of};
 use crate::measure::outlier::is_spatial;
@@ -28,8 +29,8 @@ const MOST_SEQUENCES: usize = 1 << 18;
 pub struct Streamed {
     /// Without conditional accuracy, which needs all times at once.
     pub analysis: Analysis,
-    /// Rows that were not wanted or lacked a number.
-    pub absent: u64,
+    /// What is doubtful, in sentences.
+    pub warnings: Vec<String>,
 }
 
 #[derive(Default)]
@@ -47,6 +48,19 @@ struct One {
     paths: Option<Box<[Moments; 9]>>,
     amplitude: Option<f64>,
     width: Option<f64>,
+}
+
+impl One {
+    fn merge(&mut self, other: Self) {
+        self.sequence.merge(&other.sequence);
+        match (&mut self.paths, other.paths) {
+            (Some(own), Some(other)) => {
+                own.iter_mut().zip(other.iter()).for_each(|(own, other)| own.merge(other))
+            }
+            (none, Some(other)) => *none = Some(other),
+            (_, None) => {}
+        }
+    }
 }
 
 impl Sums {
@@ -78,14 +92,7 @@ impl Sums {
         for (key, one) in other.sequences {
             let blank = Trial { amplitude: one.amplitude, width: one.width, ..Trial::default() };
             let own = self.of(&key, &blank)?;
-            own.sequence.merge(&one.sequence);
-            match (&mut own.paths, one.paths) {
-                (Some(own), Some(other)) => {
-                    own.iter_mut().zip(other.iter()).for_each(|(own, other)| own.merge(other))
-                }
-                (none, Some(other)) => *none = Some(other),
-                (_, None) => {}
-            }
+            own.merge(one);
         }
         Ok(())
     }
@@ -179,23 +186,23 @@ pub fn stream<R: Read + Send>(
     if sums.rows == 0 {
         return Err(Error::Empty { what: "trials" });
     }
-    let mut rows: Vec<Row> = sums
-        .sequences
+    // Sizes that are written differently may be the same.
+    let mut named: BTreeMap<Key, One> = BTreeMap::new();
+    for (key, one) in sums.sequences {
+        let mut trial = Trial { amplitude: one.amplitude, width: one.width, ..Trial::default() };
+        bound.name(&key, &mut trial);
+        match named.entry(key_of(&trial)) {
+            Entry::Vacant(entry) => drop(entry.insert(one)),
+            Entry::Occupied(mut entry) => entry.get_mut().merge(one),
+        }
+    }
+    let rows: Vec<Row> = named
         .into_iter()
         .map(|(key, one)| {
-            let mut trial = Trial { amplitude: one.amplitude, width: one.width, ..Trial::default() };
-            bound.name(&key, &mut trial);
             let row = Row {
-                key: Key {
-                    participant: trial.participant,
-                    session: trial.session,
-                    block: trial.block,
-                    condition: trial.condition,
-                },
-                instruction: trial.instruction,
-                factors: trial.factors,
-                amplitude: trial.amplitude,
-                width: trial.width,
+                key,
+                amplitude: one.amplitude,
+                width: one.width,
                 path: one.paths.map_or_else(PathMeasures::default, |paths| {
                     PathMeasures::from_values(paths.map(|m| m.mean()))
                 }),
@@ -204,9 +211,11 @@ pub fn stream<R: Read + Send>(
             finished(row, &one.sequence, &conventions, bound.dimensions)
         })
         .collect();
-    rows.sort_by(|a, b| a.key.cmp(&b.key));
+    let mut warnings = bound.warnings(sums.absent);
+    let times: Vec<f64> = rows.iter().filter_map(|row| row.ends.mt_s).collect();
+    warnings.extend(super::time_slip(&times));
     let analysis = summarised(rows, &conventions, &bound.length_unit, bound.dimensions, sums.practice);
-    Ok(Streamed { analysis, absent: sums.absent })
+    Ok(Streamed { analysis, warnings })
 }
 
 fn summed(
@@ -253,7 +262,7 @@ fn summed(
             continue;
         }
         one.sequence.push(end, trial.mt_s);
-        if let Some(path) = trial.measured.and_then(|_| of_path(&trial, conventions)) {
+        if let Some(path) = trial.measured.and_then(|_| of_path(&trial, conventions, bound.dimensions)) {
             let paths = one.paths.get_or_insert_with(Box::default);
             for (moments, value) in paths.iter_mut().zip(path.values()) {
                 value.into_iter().for_each(|value| moments.push(value));
@@ -344,12 +353,62 @@ mod tests {
     }
 
     #[test]
+    fn instructions_factors_and_sizes_are_told_apart_in_memory_as_in_a_stream() {
+        let mut text = String::from("participant,condition,hand,instruction,mt_s,dx,amplitude,width\n");
+        for i in 0..960u32 {
+            let noise = f64::from(i.wrapping_mul(2_654_435_761) >> 16) / 65_536.0 - 0.5;
+            let (told, hand, size) = (i % 2, i / 2 % 2, i / 4 % 2);
+            text += &format!(
+                "P{},mouse,{},{},{},{},{},20\n",
+                i / 8 % 2,
+                ["left", "right"][hand as usize],
+                ["fast", "slow"][told as usize],
+                0.5 + f64::from(told) + 0.1 * noise,
+                (1.0 + f64::from(1 - told)) * noise,
+                // The same size, written in two ways.
+                ["100", "100.00000001", "200", "200.0"][(2 * size + i / 16 % 2) as usize]
+            );
+        }
+        let map = ColumnMap::parse("m".as_ref(), "[factors]\nhand = \"hand\"").unwrap();
+        let whole = super::super::columns::read(&text, &map).unwrap();
+        let whole = analyse(&whole.data, &whole.conventions);
+        let streamed = stream(text.as_bytes(), &map, None, 2, |_| {}).unwrap().analysis;
+        assert_eq!((whole.rows.len(), streamed.rows.len()), (16, 16));
+        for (a, b) in whole.rows.iter().zip(&streamed.rows) {
+            assert_eq!((&a.key, a.n), (&b.key, 60));
+            assert!((a.ends.x.tp.unwrap() - b.ends.x.tp.unwrap()).abs() < 1e-10);
+        }
+        let levels = whole.stability.unwrap().levels;
+        assert_eq!(levels.iter().map(|level| level.name.as_str()).collect::<Vec<_>>(), ["fast", "slow"]);
+        assert!(levels[0].sd.unwrap() > 1.9 * levels[1].sd.unwrap());
+    }
+
+    #[test]
+    fn without_an_amplitude_there_is_no_throughput() {
+        let mut text = String::from("participant,mt_s,dx\n");
+        (0..20).for_each(|i| text += &format!("P1,0.5,{}\n", i % 5));
+        let map = ColumnMap::default();
+        let memory = super::super::columns::read(&text, &map).unwrap();
+        let streamed = stream(text.as_bytes(), &map, None, 1, |_| {}).unwrap();
+        for (analysis, warnings) in [
+            (analyse(&memory.data, &memory.conventions), memory.warnings),
+            (streamed.analysis, streamed.warnings),
+        ] {
+            let ends = analysis.rows[0].ends;
+            assert_eq!((ends.x.amplitude, ends.x.ide, ends.x.tp), (None, None, None));
+            assert!(ends.x.sd.unwrap() > 1.0 && ends.x.we.is_some());
+            assert!(warnings[0].contains("no column is the amplitude"), "{warnings:?}");
+        }
+    }
+
+    #[test]
     fn damage_is_named_with_its_line() {
         let map = ColumnMap::default();
         let table = |bad: &str| format!("participant,mt_s,dx\nP1,0.5,1\n{bad}\nP1,0.5,2\n");
         let error = |bad: &str| stream(table(bad).as_bytes(), &map, None, 2, |_| {}).unwrap_err().to_string();
         assert_eq!(error("P1,x,1"), "line 3, column \"mt_s\": expected a finite number, found \"x\"");
         assert_eq!(error("P1,1"), "line 3: expected 3 cells, found 2");
+        assert_eq!(error("P1,-0.5,1"), "line 3, column \"mt_s\": expected a time above zero, found \"-0.5\"");
         assert!(stream("".as_bytes(), &map, None, 2, |_| {}).is_err());
         let sequential = Conventions { outliers: Outliers::ThreeSd, ..Conventions::default() };
         assert_eq!(

@@ -2,19 +2,23 @@
 
 use vergence_stats::{Moments, Spread};
 
-use crate::convention::{Axis, Conventions, Frame, MeanTime, Reach};
+use crate::convention::{Axis, Conventions, Difficulty, Frame, MeanTime, Reach};
 use crate::measure::fitts::difficulty;
 use crate::trial::{Point, Trial};
+
+/// Spreads below this share of the amplitude are what rounding leaves of equal ends (1e-16 of coordinates that may be a
+/// million amplitudes away from their origin), and nobody's: no spread.
+const ROUNDING: f64 = 1e-9;
 
 /// The geometry of one end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct End {
     /// Signed distance from the target's centre along the axis: positive beyond it.
     pub dx: f64,
-    /// Amplitude along the axis.
-    pub ae: f64,
+    /// Amplitude along the axis; none where only the end relative to the target is known.
+    pub ae: Option<f64>,
     /// Straight amplitude, or the same as `ae` (see [`Reach`]).
-    pub ae_xy: f64,
+    pub ae_xy: Option<f64>,
     /// End relative to the target's centre, in the frame of the convention.
     pub offset: Point,
 }
@@ -55,14 +59,15 @@ pub fn end_of(trial: &Trial, conventions: &Conventions, before: f64) -> Option<E
     let (origin, along) = axis_of(trial, conventions)?;
     let offset = minus(trial.end, trial.to);
     let dx = dot(offset, along);
-    let begin = trial.start.unwrap_or(origin);
-    let ae = match conventions.axis {
+    // Without both, `from` says where the movement came from and not how far it went.
+    let begin = trial.start.or(trial.amplitude.map(|_| origin));
+    let ae = begin.map(|begin| match conventions.axis {
         Axis::Nominal => dot(minus(trial.end, begin), along),
         Axis::Start => dot(minus(trial.end, begin), along).abs(),
         Axis::Serial => length(minus(trial.to, origin)) + dx + before,
-    };
+    });
     let ae_xy = match conventions.reach {
-        Reach::Straight => length(minus(trial.end, begin)),
+        Reach::Straight => begin.map(|begin| length(minus(trial.end, begin))),
         Reach::Axis => ae,
     };
     let offset = match conventions.frame {
@@ -110,8 +115,8 @@ impl Sequence {
     pub fn push(&mut self, end: Option<End>, mt_s: f64) {
         if let Some(end) = end {
             self.ends.push(end.dx);
-            self.amplitudes.push(end.ae);
-            self.straight.push(end.ae_xy);
+            end.ae.into_iter().for_each(|ae| self.amplitudes.push(ae));
+            end.ae_xy.into_iter().for_each(|ae| self.straight.push(ae));
             self.spread.push(end.offset);
         }
         self.times.push(mt_s);
@@ -142,6 +147,11 @@ impl Sequence {
             MeanTime::WholeMs => (mean * 1e3 + 1e-6).floor() / 1e3,
         });
         let effective = |amplitude: Option<f64>, sd: Option<f64>| {
+            // Where a tunnel was left is no aim.
+            let sd = sd.filter(|_| conventions.difficulty != Difficulty::Steering);
+            // Ends that differ by the rounding of their coordinates alone are the same.
+            let rounding = amplitude.map_or(0.0, |amplitude: f64| ROUNDING * amplitude.abs());
+            let sd = sd.map(|sd| if sd > rounding { sd } else { 0.0 });
             let we = sd.map(|sd| conventions.we_factor * sd);
             let ide = amplitude.zip(we).and_then(|(a, w)| difficulty(conventions.difficulty, a, w));
             let tp = ide.zip(mt_s).filter(|(_, mt)| *mt > 0.0).map(|(ide, mt)| ide / mt);
@@ -210,13 +220,13 @@ mod tests {
     fn three_axes() {
         let t = trial([11.0, 2.0, 0.0]);
         let nominal = end_of(&t, &Conventions::default(), 0.0).unwrap();
-        assert_eq!((nominal.dx, nominal.ae, nominal.offset), (1.0, 10.0, [1.0, 2.0, 0.0]));
+        assert_eq!((nominal.dx, nominal.ae, nominal.offset), (1.0, Some(10.0), [1.0, 2.0, 0.0]));
         let serial = end_of(&t, &Conventions::gofitts(), 0.5).unwrap();
-        assert_eq!((serial.dx, serial.ae), (1.0, 11.5));
+        assert_eq!((serial.dx, serial.ae), (1.0, Some(11.5)));
         let start = end_of(&t, &Conventions::fittsstudy(), 0.0).unwrap();
         let u = [9.0 / 82f64.sqrt(), -1.0 / 82f64.sqrt()];
         assert!((start.dx - (u[0] - 2.0 * u[1].abs())).abs() < 1e-12, "{start:?}");
-        assert!((start.ae_xy - (100f64 + 1.0).sqrt()).abs() < 1e-12);
+        assert!((start.ae_xy.unwrap() - (100f64 + 1.0).sqrt()).abs() < 1e-12);
         let nowhere = Trial { from: Some([3.0; 3]), start: None, to: [3.0; 3], ..t };
         assert_eq!(end_of(&nowhere, &Conventions::default(), 0.0), None);
     }
@@ -232,6 +242,38 @@ mod tests {
         sequence.push(end_of(&trial([10.0, 0.0, 0.0]), &conventions, 0.0), 0.7);
         let same = sequence.measures(&conventions, 2);
         assert_eq!((same.x.sd, same.x.we, same.x.ide, same.x.tp), (Some(0.0), Some(0.0), None, None));
+    }
+
+    #[test]
+    fn what_rounding_leaves_of_equal_ends_is_no_spread() {
+        let conventions = Conventions::default();
+        let mut sequence = Sequence::default();
+        for i in 0..11 {
+            let angle = 0.7 * f64::from(i);
+            let at = |r: f64| [300.0 + r * angle.cos(), 700.0 + r * angle.sin(), 0.0];
+            let t = Trial {
+                from: Some(at(-50.0)),
+                start: Some(at(-50.0)),
+                to: at(50.0),
+                end: at(53.0),
+                mt_s: 0.5,
+                ..Trial::default()
+            };
+            sequence.push(end_of(&t, &conventions, 0.0), 0.5);
+        }
+        let found = sequence.measures(&conventions, 2);
+        assert_eq!((found.x.sd, found.x.tp, found.xy.sd, found.xy.tp), (Some(0.0), None, Some(0.0), None));
+    }
+
+    #[test]
+    fn where_a_tunnel_was_left_is_no_aim() {
+        let conventions = Conventions { difficulty: Difficulty::Steering, ..Conventions::default() };
+        let mut sequence = Sequence::default();
+        for x in [10.0, 10.1, 10.3] {
+            sequence.push(end_of(&trial([x, 0.0, 0.0]), &conventions, 0.0), 0.5);
+        }
+        let found = sequence.measures(&conventions, 2);
+        assert_eq!((found.mt_s, found.x.sd, found.x.tp, found.xy.tp), (Some(0.5), None, None, None));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use vergence_stats::{normal_cdf, normal_quantile};
 
 use crate::convention::Difficulty;
 
-/// Index of difficulty, bits, of amplitude and width in one unit; none where either is not positive and finite.
+/// Index of difficulty (bits, or as [`Difficulty`] says) of amplitude and width in one unit; none where either is not positive and finite.
 pub fn difficulty(rule: Difficulty, amplitude: f64, width: f64) -> Option<f64> {
     let ratio = amplitude / width;
     if !(amplitude >= 0.0 && width > 0.0 && ratio.is_finite()) {
@@ -13,6 +13,9 @@ pub fn difficulty(rule: Difficulty, amplitude: f64, width: f64) -> Option<f64> {
     match rule {
         Difficulty::Shannon => Some((ratio + 1.0).log2()),
         Difficulty::Fitts => (ratio > 0.0).then(|| (2.0 * ratio).log2()),
+        Difficulty::Steering => steering_difficulty(&[(amplitude, width)]),
+        Difficulty::Angular => angular_difficulty(amplitude, width, 3.0),
+        Difficulty::Meyer => meyer_term(amplitude, width, 2),
     }
 }
 

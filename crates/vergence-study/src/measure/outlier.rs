@@ -36,8 +36,8 @@ pub fn is_spatial(trial: &Trial, end: Option<End>) -> bool {
     let (Some(end), Some(amplitude), Some(width)) = (end, trial.amplitude, trial.width) else { return false };
     let planar = end.offset[1] != 0.0 || end.offset[2] != 0.0;
     let distance = end.offset.iter().map(|value| value * value).sum::<f64>().sqrt();
-    let (reach, away) = if planar { (end.ae_xy, distance) } else { (end.ae.abs(), end.dx.abs()) };
-    trial.error && (reach < 0.5 * amplitude || away > 2.0 * width)
+    let (reach, away) = if planar { (end.ae_xy, distance) } else { (end.ae.map(f64::abs), end.dx.abs()) };
+    trial.error && (reach.is_some_and(|reach| reach < 0.5 * amplitude) || away > 2.0 * width)
 }
 
 fn three_sd(values: &[f64]) -> Option<(f64, f64)> {
@@ -76,8 +76,8 @@ mod tests {
             .collect();
         trials[3].mt_s = 9.0;
         trials[7].error = true;
-        let end = End { dx: 0.0, ae: 10.0, ae_xy: 10.0, offset: [0.0; 3] };
-        let far = End { dx: 2.5, ae: 12.5, ae_xy: 12.5, offset: [2.5, 0.0, 0.0] };
+        let end = End { dx: 0.0, ae: Some(10.0), ae_xy: Some(10.0), offset: [0.0; 3] };
+        let far = End { dx: 2.5, ae: Some(12.5), ae_xy: Some(12.5), offset: [2.5, 0.0, 0.0] };
         let pairs: Vec<(&Trial, Option<End>)> = trials
             .iter()
             .enumerate()

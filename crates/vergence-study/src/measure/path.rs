@@ -14,7 +14,8 @@ const HALF: usize = 15;
 
 /// The measures of a trial's recorded path; those that the recording tool gave where no path is there. None for fewer
 /// than two samples or an axis without length.
-pub fn of_path(trial: &Trial, conventions: &Conventions) -> Option<PathMeasures> {
+/// `dimensions`: in one, targets reach as far across the axis as anybody goes.
+pub fn of_path(trial: &Trial, conventions: &Conventions, dimensions: usize) -> Option<PathMeasures> {
     let (origin, along) = axis_of(trial, conventions)?;
     if trial.samples.len() < 2 {
         return trial.measured;
@@ -25,16 +26,30 @@ pub fn of_path(trial: &Trial, conventions: &Conventions) -> Option<PathMeasures>
     let half_width = trial.width.map(|width| 0.5 * width);
     let centre = place(trial.to, along);
     let inside = |sample: &CursorSample| {
-        let offset: f64 = (0..3).map(|i| (sample.position[i] - trial.to[i]).powi(2)).sum();
-        half_width.is_some_and(|half| offset <= half * half)
+        let offset = match dimensions {
+            1 => (place(sample.position, along) - centre).powi(2),
+            _ => (0..3).map(|i| (sample.position[i] - trial.to[i]).powi(2)).sum(),
+        };
+        // GoFitts takes the edge for outside.
+        let edge = conventions.path != PathRule::GoFitts;
+        half_width.is_some_and(|half| offset < half * half || edge && offset == half * half)
     };
     let entries = trial.samples.iter().fold((0u32, false), |(count, was), sample| {
         let is = inside(sample);
         (count + u32::from(is && !was), is)
     });
+    let far_side = half_width.map(|half| centre + half);
+    let over = far_side.map(|far| {
+        let raw = trial.samples.iter().map(|sample| place(sample.position, along) > far);
+        raw.fold((0u32, false), |(count, was), is| (count + u32::from(is && !was), is)).0
+    });
+    if conventions.path == PathRule::GoFitts {
+        let measures = as_gofitts(trial, conventions, (origin, along), &inside);
+        return Some(PathMeasures { overshoots: over.map(f64::from), ..measures });
+    }
     let smoothed;
     let points = match conventions.path {
-        PathRule::Thresholds => &trial.samples,
+        PathRule::Thresholds | PathRule::GoFitts => &trial.samples,
         PathRule::Smoothed => {
             smoothed = smooth(&resample(&trial.samples));
             &smoothed
@@ -46,14 +61,9 @@ pub fn of_path(trial: &Trial, conventions: &Conventions) -> Option<PathMeasures>
     let mean = y.iter().sum::<f64>() / n;
     let squares: f64 = y.iter().map(|value| (value - mean).powi(2)).sum();
     let (band, jump) = match conventions.path {
-        PathRule::Thresholds => (conventions.crossing_band, conventions.turn_jump),
+        PathRule::Thresholds | PathRule::GoFitts => (conventions.crossing_band, conventions.turn_jump),
         PathRule::Smoothed => (0.0, 0.0),
     };
-    let far_side = half_width.map(|half| centre + half);
-    let over = far_side.map(|far| {
-        let raw = trial.samples.iter().map(|sample| place(sample.position, along) > far);
-        raw.fold((0u32, false), |(count, was), is| (count + u32::from(is && !was), is)).0
-    });
     Some(PathMeasures {
         tre: half_width.map(|_| f64::from(entries.0.saturating_sub(1))),
         tac: Some(f64::from(crossings(&y, band))),
@@ -65,6 +75,73 @@ pub fn of_path(trial: &Trial, conventions: &Conventions) -> Option<PathMeasures>
         submovements: Some(f64::from(submovements(&trial.samples))),
         overshoots: over.map(f64::from),
     })
+}
+
+/// The measures by GoFitts' rules (MacKenzie's AccuracyMeasures): see [`PathRule::GoFitts`].
+fn as_gofitts(
+    trial: &Trial,
+    conventions: &Conventions,
+    (origin, along): (Point, Point),
+    inside: &dyn Fn(&CursorSample) -> bool,
+) -> PathMeasures {
+    let samples = &trial.samples;
+    let entered = runs(samples.iter().map(inside).collect());
+    let entries = entered.windows(2).filter(|pair| pair[1].1).count() as u32;
+    // The angle of the axis is taken within a quarter turn of the right.
+    let right = if along[0] < 0.0 { -1.0 } else { 1.0 };
+    let cut = |p: Point| [(p[0] - origin[0]).trunc(), (p[1] - origin[1]).trunc()];
+    let turned = samples.iter().map(|sample| {
+        let [x, y] = cut(sample.position);
+        (x * along[0] + y * along[1], right * (y * along[0] - x * along[1]))
+    });
+    let (x, y): (Vec<f64>, Vec<f64>) = turned.unzip();
+    let jumps = |values: &[f64]| {
+        let steps: Vec<bool> = values.windows(2).map(|pair| pair[1] >= pair[0]).collect();
+        let last = steps.len().saturating_sub(1);
+        let ends = runs(steps);
+        let long = ends.windows(2).filter(|pair| {
+            let (from, to) = (pair[0].0, pair[1].0);
+            to < last && (values[from] - values[to]).abs() > conventions.turn_jump
+        });
+        long.count() as f64
+    };
+    // Along the axis it looks the other way where the axis points to the left; which way is up does not matter to turns
+    // but for steps of nothing.
+    let ahead: Vec<f64> = x.iter().map(|x| -right * x).collect();
+    let n = y.len() as f64;
+    let mean = y.iter().sum::<f64>() / n;
+    let squares: f64 = y.iter().map(|value| (value - mean).powi(2)).sum();
+    PathMeasures {
+        tre: trial.width.map(|_| f64::from(entries.saturating_sub(1))),
+        tac: Some(f64::from(crossings(&y, conventions.crossing_band))),
+        mdc: Some(jumps(&y)),
+        odc: Some(jumps(&ahead)),
+        mv: (n > 1.0).then(|| (squares / (n - 1.0)).sqrt()),
+        me: Some(y.iter().map(|value| value.abs()).sum::<f64>() / n),
+        mo: Some(mean),
+        submovements: Some(f64::from(submovements(samples))),
+        overshoots: None,
+    }
+}
+
+/// Where each run of equal values begins, and its value, after runs of one and then of two inside of others were taken for
+/// these, from the first on.
+fn runs(mut values: Vec<bool>) -> Vec<(usize, bool)> {
+    for length in [1, 2] {
+        for i in 0..values.len().saturating_sub(length + 2) {
+            let (outer, inner) = (values[i], i + 1..i + 1 + length);
+            if values[i + 1 + length] == outer && values[inner.clone()].iter().all(|value| *value != outer) {
+                values[inner].fill(outer);
+            }
+        }
+    }
+    let mut found: Vec<(usize, bool)> = Vec::new();
+    for (i, value) in values.into_iter().enumerate() {
+        if found.last().is_none_or(|(_, last)| *last != value) {
+            found.push((i, value));
+        }
+    }
+    found
 }
 
 /// Changes of side, once beyond `band` on the other one.
@@ -203,15 +280,45 @@ mod tests {
         // Above, below, above the axis; into the target, through it, back; one step back on the way.
         let path =
             [(0.0, 1.0), (30.0, 4.0), (25.0, -2.0), (60.0, -3.0), (97.0, 1.0), (108.0, 0.5), (101.0, 0.0)];
-        let m = of_path(&trial(&path), &Conventions::default()).unwrap();
+        let m = of_path(&trial(&path), &Conventions::default(), 2).unwrap();
         assert_eq!(
             (m.tre, m.tac, m.mdc, m.odc, m.overshoots),
             (Some(1.0), Some(2.0), Some(3.0), Some(3.0), Some(1.0))
         );
         assert!((m.mo.unwrap() - 1.5 / 7.0).abs() < 1e-12 && (m.me.unwrap() - 11.5 / 7.0).abs() < 1e-12);
         let banded = Conventions { crossing_band: 2.5, turn_jump: 6.0, ..Conventions::default() };
-        let m = of_path(&trial(&path), &banded).unwrap();
+        let m = of_path(&trial(&path), &banded, 2).unwrap();
         assert_eq!((m.tac, m.odc), (Some(1.0), Some(1.0)));
+    }
+
+    #[test]
+    fn gofitts_counts_by_hand() {
+        assert_eq!(runs([1, 0, 1, 1, 0, 0, 1, 0].map(|i| i == 1).to_vec()), [(0, true), (7, false)]);
+        // Up 9 (the step back at 12 is none: smoothing goes from the first on), down 11, up 3, down: one turn of y behind a run
+        // beyond the jump of 10.
+        let y = [0.0, 6.0, 12.0, 8.0, 9.0, 4.0, 1.0, -2.0, -1.0, 0.0, 1.0, 0.0, -1.0, -2.0];
+        let path: Vec<(f64, f64)> = y.iter().enumerate().map(|(i, y)| (8.0 * i as f64, *y)).collect();
+        let right = of_path(&trial(&path), &Conventions::gofitts(), 2).unwrap();
+        assert_eq!(
+            (right.mdc, right.odc, right.tac, right.tre),
+            (Some(1.0), Some(0.0), Some(0.0), Some(0.0))
+        );
+        let mean = y.iter().sum::<f64>() / 14.0;
+        assert!((right.mo.unwrap() - mean).abs() < 1e-12 && mean > 2.0);
+        // To the left, seen from the other side: above is still above.
+        let mirrored: Vec<(f64, f64)> = path.iter().map(|(x, y)| (-x, *y)).collect();
+        let left = Trial { to: [-100.0, 0.0, 0.0], ..trial(&mirrored) };
+        assert!((of_path(&left, &Conventions::gofitts(), 2).unwrap().mo.unwrap() - mean).abs() < 1e-12);
+        let nominal = of_path(&left, &Conventions::default(), 2).unwrap();
+        assert!((nominal.mo.unwrap() + mean).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_ribbon_is_left_along_the_axis_alone() {
+        // In, out, in again, 60 beside the middle.
+        let path = [(0.0, 60.0), (97.0, 60.0), (108.0, 60.0), (101.0, 60.0)];
+        let of = |dimensions| of_path(&trial(&path), &Conventions::default(), dimensions).unwrap().tre;
+        assert_eq!((of(1), of(2)), (Some(1.0), Some(0.0)));
     }
 
     #[test]
@@ -230,7 +337,7 @@ mod tests {
                 samples: samples.collect(),
                 ..Trial::default()
             };
-            of_path(&t, &Conventions::default()).unwrap()
+            of_path(&t, &Conventions::default(), 2).unwrap()
         };
         let right = of(|x, y| [x, y, 0.0]);
         for other in [of(|x, y| [0.0, y, -x]), of(|x, y| [0.0, HALF * (x + y), HALF * (y - x)])] {
@@ -242,10 +349,10 @@ mod tests {
     #[test]
     fn no_path_no_measures() {
         let one = trial(&[(0.0, 0.0)]);
-        assert_eq!(of_path(&one, &Conventions::default()), None);
+        assert_eq!(of_path(&one, &Conventions::default(), 2), None);
         let told = PathMeasures { tac: Some(2.0), ..PathMeasures::default() };
         let imported = Trial { measured: Some(told), samples: Vec::new(), ..one };
-        assert_eq!(of_path(&imported, &Conventions::default()), Some(told));
+        assert_eq!(of_path(&imported, &Conventions::default(), 2), Some(told));
         assert_eq!(submovements(&[]), 0);
     }
 
@@ -266,7 +373,7 @@ mod tests {
         #[test]
         fn any_path_has_finite_measures(points in prop::collection::vec((-1e3..1e3f64, -1e3..1e3f64), 0..60), smoothed in any::<bool>()) {
             let conventions = if smoothed { Conventions { path: PathRule::Smoothed, ..Conventions::default() } } else { Conventions::default() };
-            if let Some(m) = of_path(&trial(&points), &conventions) {
+            if let Some(m) = of_path(&trial(&points), &conventions, 2) {
                 for value in m.values().into_iter().flatten() {
                     prop_assert!(value.is_finite());
                 }

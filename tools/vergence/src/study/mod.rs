@@ -4,17 +4,19 @@ mod parquet;
 mod run;
 mod status;
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use clap::{Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
+use vergence_experiment::Kind;
 use vergence_report::{Cell, Column, Table};
 use vergence_study::{
-    Alternative, Analysis, ColumnMap, Conventions, Error, Imported, Maps, Study, TEMPLATE, Tool,
-    alternatives, analyse, analyse_trials, conditions_csv, import, page, stream, summary_json, together,
-    trials_csv,
+    Alternative, Analysis, ColumnMap, Conventions, Difficulty, Error, Imported, Maps, Study, TEMPLATE, Tool,
+    alternatives, analyse, analyse_trials, conditions_csv, factor_column, import, page, stream, summary_json,
+    together, trials_csv,
 };
 
 use crate::failure::Failure;
@@ -43,7 +45,7 @@ enum What {
     /// Effective measures, throughput, paths, speed against accuracy
     ///
     /// A study's folder, or logs of sittings (.mcap), by the conventions that they name.
-    /// Recordings of FittsStudy (.csv, .txt, .xml), 3DFitts (.json), GoFitts (.sd3) and tables with a column map are
+    /// Recordings of FittsStudy (.csv, .txt, .xml), 3DFitts (.json), GoFitts (.sd1, .sd3) and tables with a column map are
     /// told apart by their content and analysed by the conventions of their tool, which the options replace one by one.
     /// Tables above 64 MiB are analysed in one pass. Builds with --features parquet read .parquet as they read .csv.
     Analyze(Analyze),
@@ -175,7 +177,7 @@ struct Input {
     /// Outlier policy: keep, spatial, 3sd, 3mad, temporal or misses; default: the tool's, ours is keep
     #[arg(long)]
     outliers: Option<String>,
-    /// Index of difficulty: shannon or fitts; default: the tool's, ours is shannon
+    /// Index of difficulty: shannon, fitts, steering (A/W: tunnels), angular (rays) or meyer; default: the tool's, ours is shannon
     #[arg(long)]
     id: Option<String>,
     /// Any other knob, such as frame=world, reach=axis, mean_time=whole-ms, path=smoothed, crossing_band=5,
@@ -322,9 +324,7 @@ impl Input {
         let found = stream(input, &map, Some(&conventions), threads, |read| bar.set_position(read));
         bar.finish_and_clear();
         let found = found.map_err(|error| in_file(&error))?;
-        let note = format!("{} rows are not wanted by the map or lack a number it needs", found.absent);
-        let notes = if found.absent > 0 { vec![note] } else { Vec::new() };
-        Ok(Found::Sums(Box::new(found.analysis), notes))
+        Ok(Found::Sums(Box::new(found.analysis), found.warnings))
     }
 
     fn read_logs(&self, files: &[PathBuf]) -> Result<Found, Failure> {
@@ -341,6 +341,13 @@ impl Input {
         let logs = logs.map_err(|error| Failure::work(&error))?;
         let mut all = vergence_experiment::imported(&logs).map_err(|error| Failure::work(&error))?;
         all.conventions = self.conventions(all.conventions)?;
+        // What `status` says of a study's folder is said of its analysis.
+        for input in self.inputs.iter().filter(|input| input.join("manifest.json").is_file()) {
+            let folder = vergence_experiment::Folder::open(input).map_err(|error| Failure::work(&error))?;
+            let status = vergence_experiment::Status::of(&folder).map_err(|error| Failure::work(&error))?;
+            let wrong = status.findings.iter().filter(|finding| finding.kind < Kind::Incomplete);
+            all.warnings.extend(wrong.map(|finding| format!("{}: {}", finding.file, finding.text)));
+        }
         Ok(Found::Trials(all))
     }
 
@@ -348,6 +355,17 @@ impl Input {
     fn check_outputs(&self, option: &str, outputs: &[PathBuf]) -> Result<(), Failure> {
         let mut read = files_of(&self.inputs)?;
         read.extend(self.columns.iter().map(PathBuf::from));
+        // Nor is anything written among the logs of a study, whose only copies they are.
+        let is_data = |output: &&PathBuf| {
+            let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty());
+            folder.unwrap_or(Path::new(".")).join("manifest.json").is_file()
+        };
+        if let Some(output) = outputs.iter().find(is_data) {
+            return Err(Failure::Call(format!(
+                "{option} {}: expected a place outside of the folder of a study's data",
+                output.display()
+            )));
+        }
         let maps: Vec<PathBuf> = read.iter().map(|file| file.with_extension("toml")).collect();
         // A map that is not there is not read.
         read.extend(maps.into_iter().filter(|map| map.is_file()));
@@ -406,29 +424,51 @@ impl Analyze {
             value.map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
         };
         println!(
-            "\n{} participants, {} sequences, {} trials, misses {} %\nthroughput: {} bits/s along the axis, {} in all dimensions \
-             (means of means)",
+            "\n{} participants, {} sequences, {} trials, misses {} %",
             analysis.participants(),
             analysis.rows.len(),
             analysis.trials(),
-            shown(analysis.error_rate().map(|rate| 100.0 * rate), 1),
-            shown(analysis.tp_mean_of_means(), 3),
-            shown(analysis.tp_xy_mean_of_means(), 3)
+            shown(analysis.error_rate().map(|rate| 100.0 * rate), 1)
         );
+        if analysis.conventions.difficulty == Difficulty::Steering {
+            println!("tunnels: {} of A/W per second (mean of means)", shown(analysis.steering_rate(), 3));
+            if let Some(fit) = &analysis.fit_nominal {
+                println!("T = {:.4} s + {:.4} s · A/W, r = {}", fit.a, fit.b, shown(fit.r, 4));
+            }
+        } else {
+            println!(
+                "throughput: {} bits/s along the axis, {} in all dimensions (means of means)",
+                shown(analysis.tp_mean_of_means(), 3),
+                shown(analysis.tp_xy_mean_of_means(), 3)
+            );
+        }
         if let Some(fit) = &analysis.fit {
             println!("MT = {:.4} s + {:.4} s/bit · IDe, r = {}", fit.a, fit.b, shown(fit.r, 4));
         }
         if let Some(stability) = analysis.stability.as_ref().filter(|stability| stability.levels.len() > 1) {
             for level in &stability.levels {
                 println!(
-                    "  {}: MT {} s, SD {}, TP {} bits/s",
+                    "  {}: MT {} s, SD {} {}, TP {} bits/s",
                     level.name,
                     shown(level.mt_s, 3),
-                    shown(level.sd, 3),
+                    shown(level.sd, digits(level.sd)),
+                    analysis.length_unit,
                     shown(level.tp, 3)
                 );
             }
             println!("  throughput varies by {} %", shown(stability.cv.map(|cv| 100.0 * cv), 1));
+        }
+        for (name, factor) in &analysis.factors {
+            for level in &factor.levels {
+                println!(
+                    "  {name} {}: MT {} s, TP {} bits/s (SD over people {}), misses {} %",
+                    level.name,
+                    shown(level.mt_s, 3),
+                    shown(level.tp, 3),
+                    shown(level.tp_sd_of_people, 3),
+                    shown(level.error_rate.map(|rate| 100.0 * rate), 1)
+                );
+            }
         }
         if let Some(who) = &analysis.who {
             println!(
@@ -457,6 +497,13 @@ impl Analyze {
     }
 }
 
+/// Decimals with which a length has four digits.
+fn digits(value: Option<f64>) -> usize {
+    value
+        .filter(|value| *value > 0.0)
+        .map_or(3, |value| (3.0 - value.log10().floor()).clamp(0.0, 9.0) as usize)
+}
+
 /// The first rows; all of them are in conditions.csv.
 fn text_table(analysis: &Analysis) -> String {
     const MOST: usize = 60;
@@ -465,6 +512,7 @@ fn text_table(analysis: &Analysis) -> String {
         ("session", 0),
         ("block", 0),
         ("condition", 0),
+        ("instruction", 0),
         ("n", 0),
         ("MT (s)", 3),
         ("misses", 3),
@@ -483,6 +531,7 @@ fn text_table(analysis: &Analysis) -> String {
         let mut cells: Vec<Cell> = [&key.participant, &key.session, &key.block, &key.condition]
             .map(|text| Cell::Text(text.clone()))
             .to_vec();
+        cells.push(key.instruction.clone().map_or(Cell::Empty, Cell::Text));
         cells.push(Cell::Number(row.n as f64));
         cells.extend(
             [ends.mt_s, ends.error_rate, ends.x.amplitude, ends.x.we, ends.x.ide, ends.x.tp, ends.xy.tp]
@@ -493,7 +542,7 @@ fn text_table(analysis: &Analysis) -> String {
     let more = analysis.rows.len().saturating_sub(MOST);
     let rest =
         if more > 0 { format!("  … and {more} more (--csv DIR writes all)\n") } else { String::new() };
-    table.to_text() + &rest
+    table.without_empty_columns().to_text() + &rest
 }
 
 #[derive(clap::Args)]
@@ -510,17 +559,24 @@ struct Report {
 
 impl Report {
     fn run(self) -> Result<(), Failure> {
+        if !["html", "htm"].iter().any(|ending| has_ending(&self.output, ending)) {
+            return Err(Failure::Call(format!(
+                "expected an output that ends in .html, found {}",
+                self.output.display()
+            )));
+        }
         self.input.check_outputs("--output", std::slice::from_ref(&self.output))?;
         let (analysis, trials, notes) = self.input.analysis()?;
-        let named = || match &self.input.inputs[..] {
-            [folder] => {
-                vergence_experiment::Folder::open(folder).ok().map(|folder| folder.study().name.clone())
-            }
+        let folder = match &self.input.inputs[..] {
+            [folder] => vergence_experiment::Folder::open(folder).ok(),
             _ => None,
         };
+        let study = folder.as_ref().map(vergence_experiment::Folder::study);
+        let named = || study.map(|study| study.name.clone());
         let title = self.title.clone().or_else(named).unwrap_or_else(|| "Pointing study".to_owned());
-        let page =
-            page(&title, &analysis, &others(&trials), &notes).map_err(|error| Failure::work(&error))?;
+        let described = study.map_or_else(Vec::new, Study::described);
+        let page = page(&title, &analysis, &others(&trials), &notes, &described)
+            .map_err(|error| Failure::work(&error))?;
         write(&self.output, &page.to_html())?;
         println!("{}", self.output.display());
         Ok(())
@@ -602,6 +658,13 @@ fn map_of(all: &Imported) -> String {
     for (name, value) in all.conventions.listed() {
         text += &format!("{name} = {value:?}\n");
     }
+    let names: BTreeSet<&String> = all.data.trials.iter().flat_map(|trial| trial.factors.keys()).collect();
+    if !names.is_empty() {
+        text += "\n[factors]\n";
+    }
+    for name in names {
+        text += &format!("{name:?} = {:?}\n", factor_column(name));
+    }
     text
 }
 
@@ -624,15 +687,25 @@ fn files_of(inputs: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         for entry in std::fs::read_dir(input).map_err(unreadable)? {
             let path = entry.map_err(unreadable)?.path();
             let known = path.extension().is_some_and(|own| {
-                ["csv", "json", "xml", "sd3", "txt", "mcap", "parquet"].iter().any(|e| own == *e)
+                ["csv", "json", "xml", "sd1", "sd3", "txt", "mcap", "parquet"].iter().any(|e| own == *e)
             });
             if known && path.is_file() {
                 own.push(path);
             }
         }
+        // Beside the traces, GoFitts writes the same trials once more; 3DFitts logs the cursor beside its tests.
+        if own.iter().any(|file| has_ending(file, "sd3")) {
+            own.retain(|file| !has_ending(file, "sd1"));
+        }
+        let is_frames = |file: &PathBuf| {
+            file.file_name().is_some_and(|name| name.to_string_lossy().contains("FrameData"))
+        };
+        if !own.iter().all(is_frames) {
+            own.retain(|file| !is_frames(file));
+        }
         if own.is_empty() {
             return Err(Failure::Call(format!(
-                "{}: expected recordings (.csv, .json, .xml, .sd3, .txt, .mcap, .parquet), found none",
+                "{}: expected recordings (.csv, .json, .xml, .sd1, .sd3, .txt, .mcap, .parquet), found none",
                 input.display()
             )));
         }
