@@ -559,13 +559,13 @@ struct Report {
 
 impl Report {
     fn run(self) -> Result<(), Failure> {
+        self.input.check_outputs("--output", std::slice::from_ref(&self.output))?;
         if !["html", "htm"].iter().any(|ending| has_ending(&self.output, ending)) {
             return Err(Failure::Call(format!(
                 "expected an output that ends in .html, found {}",
                 self.output.display()
             )));
         }
-        self.input.check_outputs("--output", std::slice::from_ref(&self.output))?;
         let (analysis, trials, notes) = self.input.analysis()?;
         let folder = match &self.input.inputs[..] {
             [folder] => vergence_experiment::Folder::open(folder).ok(),
