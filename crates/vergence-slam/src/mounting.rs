@@ -46,7 +46,7 @@ const TURN_SLACK: (f64, f64) = (0.15, 0.03);
 /// Turns until something is said, and the most that are looked at.
 const TURNS: (usize, usize) = (12, 100);
 /// How far turns must spread about two axes (standard deviation), rad; the share of them (squared) that may be left unexplained, and how
-/// many times as much the calibration must leave: what some rotation explains a little better says nothing against it.
+/// many times as much the calibration must leave, and half of that share: what some rotation explains a little better says nothing against it.
 const SPREAD: f64 = 0.025;
 const UNEXPLAINED: f64 = 0.1;
 const WORSE: f64 = 5.0;
@@ -203,7 +203,8 @@ impl Mounting {
         let left_by_said: f64 = centred().map(|(g, v)| (g - said * v).norm_squared()).sum();
         let turned_rad = best.angle_to(&said);
         if sizes[1].sqrt() > SPREAD && left < UNEXPLAINED * all {
-            if turned_rad > AGAINST_GYROSCOPE && left_by_said > WORSE * left {
+            let is_wrong = left_by_said > (WORSE * left).max(0.5 * UNEXPLAINED * all);
+            if turned_rad > AGAINST_GYROSCOPE && is_wrong {
                 self.found = Some(Misfit { camera: 0, beside: None, turned_rad });
                 self.decided = true;
             } else if turned_rad < 0.5 * AGAINST_GYROSCOPE {
