@@ -35,6 +35,22 @@ struct RawSerial {
     columns: Option<String>,
     #[serde(default)]
     streams: BTreeMap<String, String>,
+    #[serde(default)]
+    device: Vec<RawSerialDevice>,
+}
+
+/// What is left out is as `[serial]` says.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[cfg_attr(not(feature = "serial"), allow(dead_code))]
+struct RawSerialDevice {
+    #[serde(rename = "match")]
+    which: String,
+    baud: Option<u32>,
+    format: Option<RawFormat>,
+    least_latency: Option<vergence_config::Duration>,
+    columns: Option<String>,
+    streams: Option<BTreeMap<String, String>>,
 }
 
 #[derive(Clone, Copy, Debug, Deserialize)]
@@ -76,6 +92,9 @@ pub struct Config {
     /// For serial devices.
     #[cfg(feature = "serial")]
     pub serial: crate::serial::SerialConfig,
+    /// For some of them: a path, `vid:pid` (hexadecimal) or a serial number, and how what it means is read. The first that fits counts.
+    #[cfg(feature = "serial")]
+    pub serial_devices: Vec<(String, crate::serial::SerialConfig)>,
     /// For HID devices: mappings that come before those that are built in.
     #[cfg(feature = "hid")]
     pub hid_mappings: Vec<crate::hid::Mapping>,
@@ -107,38 +126,20 @@ impl Config {
         let mut config = Self::default();
         #[cfg(feature = "serial")]
         {
-            use crate::serial::Format;
-            use crate::serial::lines::Columns;
-            let text = std::fs::read_to_string(path).unwrap_or_default();
-            let refuse = |word: &str, message: &str| {
-                vergence_config::invalid_at(path, &text, text.find(word).unwrap_or(0), message)
-            };
-            let serial = &mut config.serial;
-            if let Some(baud) = raw.serial.baud {
-                serial.baud = baud;
-            }
-            serial.format = match raw.serial.format {
-                None | Some(RawFormat::Either) => Format::Either,
-                Some(RawFormat::Frames) => Format::Frames,
-                Some(RawFormat::Lines) => Format::Lines,
-            };
-            if let Some(least) = raw.serial.least_latency {
-                serial.least_latency =
-                    vergence_time::Span::from_secs_f64(least.seconds()).unwrap_or(vergence_time::Span::ZERO);
-            }
-            for (number, description) in raw.serial.streams {
-                let stream = number.parse().ok().filter(|number: &u8| *number > 0);
-                let stream =
-                    stream.ok_or_else(|| refuse(&number, "expected the number of a stream, 1 to 255"))?;
-                let known = description.parse().map_err(|error: crate::serial::DescriptionError| {
-                    refuse(&description, &error.to_string())
-                })?;
-                serial.streams.push((stream, known));
-            }
-            if let Some(columns) = raw.serial.columns {
-                let known = Columns::parse(&columns);
-                serial.columns =
-                    Some(known.ok_or_else(|| refuse(&columns, "expected names separated by commas"))?);
+            let file = SerialFile { path, text: std::fs::read_to_string(path).unwrap_or_default() };
+            let RawSerial { baud, format, least_latency, columns, streams, device } = raw.serial;
+            let streams = Some(streams).filter(|streams| !streams.is_empty());
+            let general =
+                RawSerialDevice { which: String::new(), baud, format, least_latency, columns, streams };
+            config.serial = file.resolve(&general, config.serial.clone())?;
+            for device in device {
+                if device.which.trim().is_empty() {
+                    return Err(file
+                        .refuse("match", "expected a path, VID:PID or a serial number, found nothing")
+                        .into());
+                }
+                let known = file.resolve(&device, config.serial.clone())?;
+                config.serial_devices.push((device.which, known));
             }
         }
         #[cfg(feature = "desktop")]
@@ -165,6 +166,84 @@ impl Config {
     }
 }
 
+/// The file that says how serial devices are read.
+#[cfg(feature = "serial")]
+struct SerialFile<'a> {
+    path: &'a Path,
+    text: String,
+}
+
+#[cfg(feature = "serial")]
+impl SerialFile<'_> {
+    /// What is wrong at the first place where the file has this word.
+    fn refuse(&self, word: &str, message: &str) -> vergence_config::Error {
+        vergence_config::invalid_at(self.path, &self.text, self.text.find(word).unwrap_or(0), message)
+    }
+
+    /// What `raw` says, and else `known`.
+    fn resolve(
+        &self,
+        raw: &RawSerialDevice,
+        mut known: crate::serial::SerialConfig,
+    ) -> Result<crate::serial::SerialConfig, Error> {
+        use crate::serial::Format;
+        match raw.baud {
+            Some(0) => return Err(self.refuse("baud = 0", "expected bits per second, found 0").into()),
+            Some(baud) => known.baud = baud,
+            None => {}
+        }
+        match raw.format {
+            None => {}
+            Some(RawFormat::Either) => known.format = Format::Either,
+            Some(RawFormat::Frames) => known.format = Format::Frames,
+            Some(RawFormat::Lines) => known.format = Format::Lines,
+        }
+        if let Some(least) = raw.least_latency {
+            let span = vergence_time::Span::from_secs_f64(least.seconds());
+            known.least_latency = span.filter(|span| span.as_nanos() >= 0).ok_or_else(|| {
+                let message = format!("expected a latency that is not negative, found {} s", least.seconds());
+                self.refuse("least_latency", &message)
+            })?;
+        }
+        if let Some(streams) = &raw.streams {
+            known.streams.clear();
+            for (number, description) in streams {
+                let stream = number.parse().ok().filter(|number: &u8| *number > 0);
+                let stream =
+                    stream.ok_or_else(|| self.refuse(number, "expected the number of a stream, 1 to 255"))?;
+                let described = description.parse().map_err(|error: crate::serial::DescriptionError| {
+                    self.refuse(description, &error.to_string())
+                })?;
+                known.streams.push((stream, described));
+            }
+        }
+        if let Some(columns) = &raw.columns {
+            let names = crate::serial::lines::Columns::parse(columns);
+            known.columns = Some(names.map_err(|error| self.refuse(columns, &error.to_string()))?);
+        }
+        Ok(known)
+    }
+}
+
+#[cfg(feature = "serial")]
+impl Config {
+    /// How this serial device is read.
+    pub fn serial_of(&self, device: &crate::Found) -> &crate::serial::SerialConfig {
+        let ids = device.vendor_id.zip(device.product_id);
+        let ids = ids.map(|(vendor, product)| format!("{vendor:04x}:{product:04x}"));
+        // A link to the port, as those in /dev/serial/by-id, is the port.
+        let real = |path: &str| std::fs::canonicalize(path).ok();
+        let fits = |which: &str| {
+            which == device.path
+                || device.serial_number.as_deref() == Some(which)
+                || ids.as_ref().is_some_and(|ids| ids.eq_ignore_ascii_case(which))
+                || which.contains('/') && real(which).is_some() && real(which) == real(&device.path)
+        };
+        let own = self.serial_devices.iter().find(|(which, _)| fits(which));
+        own.map_or(&self.serial, |(_, config)| config)
+    }
+}
+
 #[cfg(all(test, feature = "serial"))]
 mod tests {
     use super::*;
@@ -185,6 +264,7 @@ mod tests {
             (Some(921_600), 1, 1)
         );
         assert!(raw.desktop.extra_mouse_buttons && raw.serial.columns.is_some());
+        assert_eq!((raw.serial.device.len(), raw.serial.device[0].baud), (1, Some(9600)));
     }
 
     #[test]
@@ -193,6 +273,49 @@ mod tests {
         let config = config(text).expect("written");
         assert_eq!((config.serial.baud, config.serial.streams.len()), (921_600, 1));
         assert_eq!(config.serial.least_latency, vergence_time::Span::from_millis(2));
+    }
+
+    #[test]
+    fn each_device_may_have_its_own() {
+        let config = config(
+            "[serial]\nbaud = 9600\ncolumns = \"bpm\"\n\
+             [[serial.device]]\nmatch = \"1a86:7523\"\nbaud = 921600\nformat = \"frames\"\nstreams = { 1 = \"imu imu i16\" }\n\
+             [[serial.device]]\nmatch = \"/dev/ttyACM7\"\nleast_latency = \"2 ms\"\n\
+             [[serial.device]]\nmatch = \"5583\"\nbaud = 300\n",
+        )
+        .expect("written");
+        let found = |path: &str, vendor_id, product_id, serial: Option<&str>| crate::Found {
+            vendor_id,
+            product_id,
+            serial_number: serial.map(str::to_owned),
+            ..crate::Found::new("serial", path.to_owned())
+        };
+        let (imu, other) = (
+            found("/dev/ttyUSB0", Some(0x1A86), Some(0x7523), None),
+            found("/dev/ttyACM7", Some(1), Some(2), None),
+        );
+        let own = config.serial_of(&imu);
+        assert_eq!((own.baud, own.streams.len(), own.format), (921_600, 1, crate::serial::Format::Frames));
+        let own = config.serial_of(&other);
+        assert_eq!((own.baud, own.least_latency), (9600, vergence_time::Span::from_millis(2)));
+        assert!(own.columns.is_some() && own.streams.is_empty());
+        assert_eq!(config.serial_of(&found("/dev/x", Some(1), Some(2), Some("5583"))).baud, 300);
+        assert_eq!(config.serial_of(&found("/dev/x", None, None, None)).baud, 9600);
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_where_it_stands() {
+        for (text, wanted) in [
+            ("[serial]\nbaud = 0\n", ":2:1: expected bits per second, found 0"),
+            ("[serial]\nleast_latency = \"-1 ms\"\n", ":2:1: expected a latency that is not negative"),
+            ("[serial]\ncolumns = \"a;b\"\n", "found 'a;b'"),
+            ("[[serial.device]]\nmatch = \"\"\n", ":2:1: expected a path"),
+            ("[[serial.device]]\nbaud = 1\n", "match"),
+            ("[[serial.device]]\nmatch = \"x\"\nbaud = 0\n", ":3:1"),
+        ] {
+            let error = config(text).unwrap_err().to_string();
+            assert!(error.contains(wanted), "{text}: {error}");
+        }
     }
 
     #[test]

@@ -23,6 +23,12 @@ pub(crate) fn tell(sink: &mut dyn Sink, at: Timestamp, event: Event) {
     sink.take(EVENTS, Sample { captured: at, arrived: at, value: Reading::Event(event) });
 }
 
+/// An event with a text of its own.
+#[cfg_attr(not(feature = "serial"), allow(dead_code))]
+pub(crate) fn event(name: &'static str, text: String) -> Event {
+    Event { text: text.into(), ..Event::new(name, "") }
+}
+
 /// Says how the clock stands, once a second, and each time that it was found set.
 #[derive(Debug, Default)]
 pub(crate) struct ClockReport {

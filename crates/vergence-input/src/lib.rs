@@ -1,6 +1,6 @@
 #![doc = include_str!("../README.md")]
 
-#[cfg(any(feature = "gamepad", feature = "hid"))]
+#[cfg(any(feature = "gamepad", feature = "hid", feature = "serial"))]
 mod claim;
 mod config;
 // What devices with a clock have is dead in a build without them.
@@ -59,7 +59,8 @@ pub fn find(name: &str, config: &Config) -> Result<Found, Error> {
     }
     #[cfg(feature = "serial")]
     if let Some(path) = name.strip_prefix("serial:") {
-        return Ok(Found { streams: Vec::new(), ..Found::new("serial", path.to_owned()) });
+        let listed = all.iter().find(|device| device.adapter == "serial" && device.path == path);
+        return Ok(listed.cloned().unwrap_or_else(|| Found::new("serial", path.to_owned())));
     }
     let wanted = name.to_lowercase();
     let mut matching = all.iter().filter(|device| device.name.to_lowercase().contains(&wanted));
@@ -84,7 +85,9 @@ pub fn open(device: &Found, config: &Config, clock: Arc<dyn Clock>) -> Result<Bo
     let _ = (config, &clock);
     match device.adapter {
         #[cfg(feature = "serial")]
-        "serial" => Ok(Box::new(serial::SerialSource::open(device, config.serial.clone(), clock)?)),
+        "serial" => {
+            Ok(Box::new(serial::SerialSource::open(device, config.serial_of(device).clone(), clock)?))
+        }
         #[cfg(feature = "gamepad")]
         "gamepad" => Ok(Box::new(gamepad::GamepadSource::open(device, config, clock)?)),
         #[cfg(feature = "gamepad")]

@@ -12,7 +12,7 @@ use vergence_input::serial::frame::{Decoder, Frame};
 use vergence_input::serial::lines::{Columns, Lines};
 use vergence_input::serial::{Description, Port, SerialConfig, SerialSource};
 use vergence_sense::{Reading, Sample, Scalar, Source};
-use vergence_time::{Clock, HostClock, Span};
+use vergence_time::{Clock, HandClock, HostClock, Span, Timestamp};
 
 type Samples = Vec<(usize, Sample<Reading<'static>>)>;
 
@@ -302,6 +302,233 @@ fn lines_of_numbers_are_read_with_their_times() {
     assert!(events(&samples).contains(&"gap"));
 }
 
+/// What a device sends, and when, on a clock that nobody waits for.
+struct Script {
+    pieces: std::vec::IntoIter<(i64, Vec<u8>)>,
+    next: Option<(i64, Vec<u8>)>,
+    clock: Arc<HandClock>,
+}
+
+impl Port for Script {
+    fn read(&mut self, buffer: &mut [u8], longest: Duration) -> std::io::Result<usize> {
+        let latest = self.clock.now().saturating_add(Span::from_nanos(longest.as_nanos() as i64));
+        let Some((at, _)) = self.next else { return Err(std::io::ErrorKind::BrokenPipe.into()) };
+        let at = Timestamp::from_nanos(at * 1_000_000);
+        self.clock.advance_to(latest.min(at.max(self.clock.now())));
+        if at > latest {
+            return Ok(0);
+        }
+        let Some((_, bytes)) = self.next.take() else { return Ok(0) };
+        buffer[..bytes.len()].copy_from_slice(&bytes);
+        self.next = self.pieces.next();
+        Ok(bytes.len())
+    }
+}
+
+/// What a source makes of such pieces: each connection's, with the milliseconds at which they arrive.
+fn scripted(connections: Vec<Vec<(i64, Vec<u8>)>>, config: SerialConfig) -> (SerialSource, Samples) {
+    let clock = Arc::new(HandClock::default());
+    let end = connections.iter().flatten().map(|piece| piece.0).max().unwrap_or(0) + 1000;
+    let (mut connections, of_ports) = (connections.into_iter(), clock.clone());
+    let opener = move || {
+        let mut pieces = connections.next().ok_or(std::io::ErrorKind::NotFound)?.into_iter();
+        let next = pieces.next();
+        Ok(Box::new(Script { pieces, next, clock: of_ports.clone() }) as Box<dyn Port>)
+    };
+    let mut source = SerialSource::new(Box::new(opener), config, clock.clone());
+    let mut samples = Samples::new();
+    let end = Timestamp::from_nanos(end * 1_000_000);
+    while clock.now() < end {
+        let until = end.min(clock.now().saturating_add(Span::from_millis(20)));
+        source.advance(until, &mut samples);
+    }
+    (source, samples)
+}
+
+/// Lines at 50 Hz from a millisecond on.
+fn lines_at(from_ms: i64, lines: &[&str]) -> Vec<(i64, Vec<u8>)> {
+    lines.iter().enumerate().map(|(i, line)| (from_ms + 20 * i as i64, line.as_bytes().to_vec())).collect()
+}
+
+fn of_columns(names: &str) -> SerialConfig {
+    SerialConfig { columns: Columns::parse(names).ok(), ..SerialConfig::default() }
+}
+
+/// Names and values of all scalars but the clock's residual.
+fn scalars(source: &SerialSource, samples: &Samples) -> Vec<(String, f64)> {
+    let each = samples.iter().filter_map(|(stream, sample)| match sample.value {
+        Reading::Scalar(Scalar(value)) if *stream >= 2 => {
+            Some((source.streams()[*stream].name.clone(), value))
+        }
+        _ => None,
+    });
+    each.collect()
+}
+
+fn texts<'a>(samples: &'a Samples, name: &str) -> Vec<&'a str> {
+    let each = samples.iter().filter_map(|(_, sample)| match &sample.value {
+        Reading::Event(event) if event.name == name => Some(event.text.as_ref()),
+        _ => None,
+    });
+    each.collect()
+}
+
+#[test]
+fn one_stray_line_costs_itself() {
+    let mut lines = vec!["boot\n", "time_us,bpm\n"];
+    let numbers: Vec<String> = (0..100).map(|n| format!("{},{}\n", n * 20_000, 60 + n)).collect();
+    lines.extend(numbers[..50].iter().map(String::as_str));
+    lines.push("OK\n");
+    lines.extend(numbers[50..].iter().map(String::as_str));
+    let (source, samples) = scripted(vec![lines_at(5, &lines)], SerialConfig::default());
+    let found = scalars(&source, &samples);
+    assert_eq!((found.len(), source.streams().len()), (100, 3));
+    assert!(found.iter().enumerate().all(|(n, (name, bpm))| name == "bpm" && *bpm == 60.0 + n as f64));
+    assert_eq!(events(&samples), ["connected", "disconnected"]);
+}
+
+#[test]
+fn what_is_cut_is_no_reading_and_no_name() {
+    // The piece of a line at the opening, a newline lost, a cable pulled in the middle of a line.
+    let first = lines_at(5, &["2.5\n", "72.5\n", "73.5\n", "74.5", "75.5\n", "76.5\n", "7"]);
+    let second = lines_at(1000, &["8.5\n", "79.5\n"]);
+    let (source, samples) = scripted(vec![first, second], of_columns("bpm"));
+    let values: Vec<f64> = scalars(&source, &samples).into_iter().map(|(_, bpm)| bpm).collect();
+    assert_eq!((values, source.streams().len()), (vec![72.5, 73.5, 76.5, 79.5], 3));
+    assert_eq!(source.totals().broken_lines, 1);
+    let said = texts(&samples, "line");
+    assert!(said.len() == 1 && said[0].contains("`74.575.5`"), "{said:?}");
+    // Frames: half of one, and the connection after it begins with the other half.
+    let (mut one, mut two) = (Vec::new(), Vec::new());
+    encode(1, &mut one);
+    encode(2, &mut two);
+    let pieces =
+        vec![vec![(5, one.clone()), (6, two[..9].to_vec())], vec![(1000, two[9..].to_vec()), (1001, one)]];
+    let (source, samples) = scripted(pieces, described("n scalar u32"));
+    assert_eq!((values_of(&samples), source.totals().frames.frames), (vec![1, 1], 2));
+}
+
+fn values_of(samples: &Samples) -> Vec<u32> {
+    values(samples.clone())
+}
+
+/// A tenth of a second of readings that wait in the port, then one each millisecond.
+#[test]
+fn what_waited_in_the_port_is_as_far_apart_as_it_was_measured() {
+    let frame = |number: u32| {
+        let mut bytes = Vec::new();
+        encode(number, &mut bytes);
+        bytes
+    };
+    let mut pieces: Vec<(i64, Vec<u8>)> = vec![(0, (0..100).flat_map(frame).collect())];
+    pieces.extend((100..1000).map(|number| (i64::from(number) - 99 + i64::from(number % 3), frame(number))));
+    let (source, samples) = scripted(vec![pieces], described("n scalar u32"));
+    assert_eq!(source.totals().lost, 0);
+    let captured = |samples: &Samples| -> Vec<i64> {
+        let readings = samples.iter().filter(|(stream, _)| *stream == 2);
+        readings.map(|(_, sample)| sample.captured.as_nanos()).collect()
+    };
+    let times = captured(&samples);
+    assert_eq!(times.len(), 1000);
+    for (number, pair) in times.windows(2).enumerate() {
+        let step = pair[1] - pair[0];
+        assert!((500_000..=1_500_000).contains(&step), "{step} ns after reading {number}");
+    }
+    assert!(samples.iter().all(|(_, sample)| sample.captured <= sample.arrived));
+    // The same of lines.
+    let line = |n: i64| format!("{},1\n", n * 1000);
+    let mut pieces = vec![(0, format!("time_us,a\n{}", (0..100).map(line).collect::<String>()).into_bytes())];
+    pieces.extend((100..300).map(|n| (n - 99, line(n).into_bytes())));
+    let (_, samples) = scripted(vec![pieces], SerialConfig::default());
+    let times = captured(&samples);
+    assert_eq!(times.len(), 300);
+    for pair in times.windows(2) {
+        assert!((900_000..=1_100_000).contains(&(pair[1] - pair[0])), "{pair:?}");
+    }
+}
+
+#[test]
+fn frames_that_nothing_describes_are_said_once() {
+    let pieces = |stream: u8, length: usize| {
+        let frame = |number: u16| {
+            let mut bytes = Vec::new();
+            let (payload, time_us) = (vec![1; length], u32::from(number) * 10_000);
+            Frame { stream, sequence: number, time_us, payload: &payload }.encode(&mut bytes);
+            (i64::from(number) * 10, bytes)
+        };
+        vec![(0..500).map(frame).collect::<Vec<_>>()]
+    };
+    let (source, samples) = scripted(pieces(7, 4), described("n scalar u32"));
+    let said = texts(&samples, "unread");
+    assert!(
+        said.len() == 1 && said[0].contains("stream 7") && said[0].contains("[serial.streams] 7 ="),
+        "{said:?}"
+    );
+    assert_eq!((source.totals().unread, values_of(&samples).len()), (500, 0));
+    let (source, samples) = scripted(pieces(1, 3), described("n scalar u32"));
+    let said = texts(&samples, "unread");
+    assert!(said.len() == 1 && said[0].contains("have 3 bytes") && said[0].ends_with("with 4"), "{said:?}");
+    assert_eq!(source.totals().unread, 500);
+    assert!(source.losses().contains(&("unread", 500)), "{:?}", source.losses());
+}
+
+#[test]
+fn a_description_that_is_not_understood_is_said_once_with_its_reason() {
+    let frame = |number: u16| {
+        let mut bytes = Vec::new();
+        Frame { stream: 0, sequence: number, time_us: 0, payload: b"\x04hr scalar u7" }.encode(&mut bytes);
+        (i64::from(number) * 10, bytes)
+    };
+    let (_, samples) = scripted(vec![(0..20).map(frame).collect()], SerialConfig::default());
+    let said = texts(&samples, "description");
+    assert!(
+        said.len() == 1 && said[0].starts_with("stream 4: ") && said[0].contains("found 'u7'"),
+        "{said:?}"
+    );
+}
+
+#[test]
+fn lines_that_are_not_understood_are_said_to_be_that() {
+    for (line, name, wanted) in [
+        ("1000;72,5\n", "line", "found semicolons"),
+        ("1000,72\n", "line", "columns = \"name1,name2\""),
+        ("hello world 3\n", "no_lines", "found 'hello world 3'"),
+    ] {
+        let text = [&*vec!["boot\n"], &vec![line; 300]].concat();
+        let (_, samples) = scripted(vec![lines_at(5, &text)], SerialConfig::default());
+        let said = texts(&samples, name);
+        assert!(said.len() == 1 && said[0].contains(wanted), "{line}: {:?}", events(&samples));
+        assert!(texts(&samples, "no_frames").is_empty(), "{line}: {:?}", events(&samples));
+    }
+    let (source, samples) =
+        scripted(vec![lines_at(5, &["x\n", "bpm,bpm\n", "1,2\n"])], SerialConfig::default());
+    assert_eq!(scalars(&source, &samples), [("bpm".to_owned(), 1.0), ("bpm~2".to_owned(), 2.0)]);
+    assert!(texts(&samples, "description")[0].contains("two columns 'bpm'"));
+}
+
+#[test]
+fn counters_of_lines_wrap() {
+    let line = |n: u64| {
+        // One is lost behind the wraps.
+        let n = n + u64::from(n > 310);
+        let (time, sequence) = (((1u64 << 32) - 900_000 + 3000 * n) % (1 << 32), (65_300 + n) % 65_536);
+        (3 * n as i64, format!("{time},{sequence},72\n").into_bytes())
+    };
+    let mut pieces = vec![(0, b"time_us,seq,bpm\n".to_vec())];
+    pieces.extend((0..600).map(line));
+    let (source, samples) = scripted(vec![pieces], SerialConfig::default());
+    assert_eq!(events(&samples), ["connected", "gap", "disconnected"]);
+    assert_eq!((source.totals().lost, source.clock_state().jumps), (1, 0));
+}
+
+#[test]
+fn numbers_that_are_none_are_no_readings() {
+    let lines = lines_at(5, &["x\n", "a,b\n", "1,2\n", "nan,3\n", "4,1e400\n", "5,inf\n", "6,7\n"]);
+    let (source, samples) = scripted(vec![lines], SerialConfig::default());
+    let values: Vec<f64> = scalars(&source, &samples).into_iter().map(|(_, value)| value).collect();
+    assert_eq!((values, source.totals().broken_lines), (vec![1.0, 2.0, 3.0, 6.0, 7.0], 2));
+}
+
 proptest! {
     /// Whatever arrives: no panic, bounded memory, and nothing but frames whose checksum is right.
     #[test]
@@ -324,7 +551,7 @@ proptest! {
     #[test]
     fn any_text_may_come_as_lines(text in "[0-9a-z,.eE_+\\-\\[\\]\n ]{0,400}") {
         let mut lines = Lines::default();
-        lines.push(text.as_bytes(), |line| if let Some(columns) = line.and_then(Columns::parse) {
+        lines.push(text.as_bytes(), |line| if let Some(columns) = line.and_then(|line| Columns::parse(line).ok()) {
             let count = columns.streams().count();
             assert!(count > 0);
             if let Some(line) = columns.read("1,2,3") {

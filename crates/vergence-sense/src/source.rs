@@ -18,6 +18,11 @@ pub trait Source: Send {
     /// returns when it has given something or `until` has come; what is computed or read from a file comes at once.
     /// The loss of a device is an event of one of its streams, and no error.
     fn advance(&mut self, until: Timestamp, sink: &mut dyn Sink) -> Progress;
+
+    /// What of all that the device sent is in no sample, for people: a word for each way, and how many so far.
+    fn losses(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
 }
 
 /// Something that takes samples: a recorder, a monitor, an estimator.

@@ -56,6 +56,9 @@ struct Report {
     gaps: u64,
     seconds: f64,
     bytes: u64,
+    /// What devices sent and is in no sample: of a recording only.
+    #[serde(flatten)]
+    losses: BTreeMap<&'static str, u64>,
 }
 
 impl Report {
@@ -63,8 +66,10 @@ impl Report {
         if json {
             println!("{}", serde_json::to_string(self).map_err(|error| Failure::work(&error))?);
         } else {
+            let losses = self.losses.iter().filter(|(_, count)| **count > 0);
+            let losses: String = losses.map(|(way, count)| format!(", {count} {way}")).collect();
             println!(
-                "{what}: {} samples of {} streams in {:.3} s, {} bytes; {} dropped, {} gaps",
+                "{what}: {} samples of {} streams in {:.3} s, {} bytes; {} dropped, {} gaps{losses}",
                 self.samples, self.streams, self.seconds, self.bytes, self.dropped, self.gaps
             );
         }
@@ -114,7 +119,8 @@ impl Counted<'_> {
         let is_said = match &*event.name {
             "gap" => self.lost.count == 1,
             "connected" => was_there,
-            "disconnected" | "no_frames" | "clock_ignored" | "description" | "unread" | "restarted" => true,
+            "disconnected" | "no_frames" | "no_lines" | "line" | "clock_ignored" | "description"
+            | "unread" | "restarted" => true,
             _ => false,
         };
         if is_said {
@@ -217,20 +223,33 @@ impl Args {
         });
         bar.finish_and_clear();
         let streams = opened.iter().map(|device| device.source.streams().len()).sum();
+        let mut losses = BTreeMap::from([("missing", 0), ("broken", 0), ("unread", 0)]);
+        for (way, count) in opened.iter().flat_map(|device| device.source.losses()) {
+            *losses.entry(way).or_default() += count;
+        }
         drop(opened);
         // Lanes went with their threads: nobody else has it.
-        let status =
+        let (status, error) =
             match Arc::into_inner(recorder).map(|r| r.into_inner().unwrap_or_else(PoisonError::into_inner)) {
-                Some(recorder) => recorder.finish().map_err(|e| log_failed(&e))?,
+                Some(recorder) => recorder.close(),
                 None => return Err(Failure::Work("the recording is still in use".into())),
             };
+        let failure = failure.or(error);
+        let (mut samples, mut dropped) = (samples.into_inner(), status.dropped);
+        if failure.is_some() {
+            // What was on its way is in neither count: the file says what it has.
+            let held = held(&self.output);
+            dropped = dropped.max(samples.saturating_sub(held));
+            samples = held;
+        }
         let report = Report {
             streams,
-            samples: samples.into_inner(),
-            dropped: status.dropped,
+            samples,
+            dropped,
             gaps: gaps.into_inner(),
             seconds: start.elapsed().as_secs_f64(),
             bytes: std::fs::metadata(&self.output).map_or(0, |file| file.len()),
+            losses,
         };
         report.print(self.json, &self.output.display().to_string())?;
         match (failure, report.dropped) {
@@ -242,6 +261,14 @@ impl Args {
             (None, _) => Ok(()),
         }
     }
+}
+
+/// Samples that a file has, as far as it can be read.
+fn held(path: &Path) -> u64 {
+    let Ok(reader) = Reader::open(path) else { return 0 };
+    let (mut source, mut sink) = (LogSource::new(reader), Printed::default());
+    while source.advance(Timestamp::from_nanos(i64::MAX), &mut sink) != Progress::Ended {}
+    sink.samples
 }
 
 fn pump(device: &mut Opened, lane: &mut dyn Sink, clock: &dyn Clock, is_over: &dyn Fn() -> bool) {
@@ -399,6 +426,7 @@ pub fn replay(path: &Path, speed: Option<f64>, print: Option<&str>, json: bool) 
         gaps: sink.gaps.values().map(|gaps| gaps.count).sum(),
         seconds: seconds.as_secs_f64(),
         bytes: std::fs::metadata(path).map_or(0, |file| file.len()),
+        losses: BTreeMap::new(),
     };
     if json || print.is_none() {
         report.print(json, &path.display().to_string())?;

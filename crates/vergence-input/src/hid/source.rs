@@ -251,6 +251,10 @@ impl Source for HidSource {
         &self.streams
     }
 
+    fn losses(&self) -> Vec<(&'static str, u64)> {
+        vec![("missing", self.lost)]
+    }
+
     fn advance(&mut self, until: Timestamp, sink: &mut dyn Sink) -> Progress {
         loop {
             let now = self.clock.now();

@@ -79,6 +79,16 @@ pub struct Description {
     unit: String,
 }
 
+/// What a payload says.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Payload {
+    Value(Reading<'static>),
+    /// It fits, and has no value: numbers that are none, a direction of no length.
+    Nothing,
+    /// It has another length.
+    Misfit,
+}
+
 /// Why a description makes no sense.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("description of a stream: expected {expected}, found '{found}'")]
@@ -157,20 +167,25 @@ impl Description {
         &self.name
     }
 
-    /// What a payload says; `None` where it has another length, or is a direction without one.
-    pub(super) fn read(&self, payload: &[u8]) -> Option<Reading<'static>> {
+    /// How long payloads are.
+    pub(super) fn bytes(&self) -> usize {
+        self.values * self.format.bytes()
+    }
+
+    /// What a payload says.
+    pub(super) fn read(&self, payload: &[u8]) -> Payload {
         let bytes = self.format.bytes();
         let mut count = self.values;
         if payload.len() != count * bytes {
             // An inertial unit with a magnetometer and one scale for all.
             if self.kind != ReadingKind::Imu || payload.len() != 9 * bytes {
-                return None;
+                return Payload::Misfit;
             }
             count = 9;
         }
         let mut values = [0.0; MOST_VALUES];
         self.format.read(payload, &self.scale, &mut values[..count]);
-        reading(self.kind, &values[..count])
+        reading(self.kind, &values[..count]).map_or(Payload::Nothing, Payload::Value)
     }
 }
 
@@ -186,7 +201,7 @@ pub(super) fn unique(name: &str, streams: &[SourceStream]) -> Cow<'static, str> 
 #[cfg(test)]
 mod tests {
     use nalgebra::Vector3;
-    use vergence_sense::Scalar;
+    use vergence_sense::{Axis, Button, Scalar};
 
     use super::*;
 
@@ -194,12 +209,12 @@ mod tests {
     fn payloads_are_read_as_described() {
         let imu: Description = "imu imu i16 0.5 0.5 0.5 2 2 2".parse().unwrap();
         let payload: Vec<u8> = [1i16, -2, 3, 4, -5, 6].iter().flat_map(|v| v.to_le_bytes()).collect();
-        let Some(Reading::Imu(read)) = imu.read(&payload) else { panic!("no inertial unit") };
+        let Payload::Value(Reading::Imu(read)) = imu.read(&payload) else { panic!("no inertial unit") };
         assert_eq!(read.gyr_rad_s, Vector3::new(0.5, -1.0, 1.5));
         assert_eq!(read.acc_m_s2, Vector3::new(8.0, -10.0, 12.0));
-        assert_eq!(imu.read(&payload[..11]), None);
+        assert_eq!(imu.read(&payload[..11]), Payload::Misfit);
         let heart: Description = "heart scalar u8 bpm".parse().unwrap();
-        assert_eq!(heart.read(&[72]), Some(Reading::Scalar(Scalar(72.0))));
+        assert_eq!(heart.read(&[72]), Payload::Value(Reading::Scalar(Scalar(72.0))));
         assert_eq!(heart.stream("heart".into()).unit, "bpm");
         for (format, bytes, wanted) in [
             ("i8", vec![0xFE], -2.0),
@@ -210,7 +225,7 @@ mod tests {
             ("f64", (-7.5f64).to_le_bytes().to_vec(), -7.5),
         ] {
             let one: Description = format!("x scalar {format}").parse().unwrap();
-            assert_eq!(one.read(&bytes), Some(Reading::Scalar(Scalar(wanted))), "{format}");
+            assert_eq!(one.read(&bytes), Payload::Value(Reading::Scalar(Scalar(wanted))), "{format}");
         }
     }
 
@@ -232,8 +247,16 @@ mod tests {
             assert!(error.contains("expected") && error.contains("found"), "{text}: {error}");
         }
         let gaze: Description = "eye gaze f32".parse().unwrap();
-        assert_eq!(gaze.read(&[0; 24]), None);
+        assert_eq!(gaze.read(&[0; 24]), Payload::Nothing);
         let nan: Vec<u8> = [f32::NAN; 6].iter().flat_map(|v| v.to_le_bytes()).collect();
-        assert_eq!(gaze.read(&nan), None);
+        assert_eq!(gaze.read(&nan), Payload::Nothing);
+        for (kind, wanted) in [
+            ("scalar", Payload::Nothing),
+            ("axis", Payload::Value(Reading::Axis(Axis(None)))),
+            ("button", Payload::Value(Reading::Button(Button(None)))),
+        ] {
+            let one: Description = format!("x {kind} f32").parse().unwrap();
+            assert_eq!(one.read(&nan[..4]), wanted, "{kind}");
+        }
     }
 }

@@ -77,6 +77,11 @@ impl Decoder {
         Self { buffer: vec![0; CAPACITY].into_boxed_slice(), from: 0, to: 0, tally: Tally::default() }
     }
 
+    /// Forgets the beginning of a frame: what follows is of another connection.
+    pub fn clear(&mut self) {
+        self.skip(self.to - self.from);
+    }
+
     /// Room for bytes that arrive; [`Decoder::arrived`] says how many were put there. Never empty after all frames were taken.
     pub fn room(&mut self) -> &mut [u8] {
         // The beginning of a frame is moved each time, so that what is read stays in the processor's cache.

@@ -9,6 +9,59 @@ pub const MOST_COLUMNS: usize = 32;
 
 const IMU: [&str; 6] = ["gx", "gy", "gz", "ax", "ay", "az"];
 
+fn is_time(name: &str) -> bool {
+    matches!(name, "time_ns" | "time_us" | "time_ms" | "time_s")
+}
+
+/// Whether a column may be called so.
+pub(super) fn is_name(name: &str) -> bool {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || "_-/[]%°.".contains(c);
+    name.starts_with(|c: char| c.is_ascii_alphabetic())
+        && name.len() <= 64
+        && name.chars().all(allowed)
+        && name.parse::<f64>().is_err()
+}
+
+/// As much of a text as a sentence holds.
+pub(super) fn shown(text: &str) -> String {
+    let mut shown: String = text.chars().take(40).collect();
+    if shown.len() < text.len() {
+        shown.push('…');
+    }
+    shown
+}
+
+/// Why a line is none of names.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NamesError {
+    /// Something in it cannot be a name.
+    #[error(
+        "expected names separated by commas, each of letters, digits and '_-/[]%°.', a letter first, found '{found}'"
+    )]
+    NoName {
+        /// What.
+        found: String,
+    },
+    /// It is longer than lines may be.
+    #[error("expected at most 32 columns, found {found}")]
+    TooMany {
+        /// How many.
+        found: usize,
+    },
+    /// What may be there once is there twice.
+    #[error("expected each column once, found '{found}' twice")]
+    Twice {
+        /// Which.
+        found: String,
+    },
+    /// Only time and number.
+    #[error("expected a column with values, found '{found}'")]
+    NoValues {
+        /// The line.
+        found: String,
+    },
+}
+
 /// What a column is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Column {
@@ -33,24 +86,37 @@ pub struct Columns {
 /// One line of numbers.
 #[derive(Clone, Copy, Debug)]
 pub struct Line {
-    /// The device's clock, where it has one.
+    /// The device's clock as it is written, where it has one: it may be a counter that wraps ([`LineClock`]).
     pub time_ns: Option<u64>,
     /// The device's count of lines, where it has one.
     pub sequence: Option<u64>,
+    /// The time as a whole number, and the nanoseconds that one of it lasts.
+    ticks: Option<(u64, u64)>,
     imu: [f64; 6],
     scalars: [f64; MOST_COLUMNS],
 }
 
 impl Columns {
-    /// From a line of names; `None` where it is none.
-    pub fn parse(text: &str) -> Option<Self> {
+    /// From a line of names, each of which begins with a letter.
+    ///
+    /// # Errors
+    /// Where it is none, with what was expected.
+    pub fn parse(text: &str) -> Result<Self, NamesError> {
         let names: Vec<&str> = text.split(',').map(str::trim).collect();
-        let allowed = |c: char| c.is_ascii_alphanumeric() || "_-/[]%°.".contains(c);
-        let is_name = |name: &&str| {
-            !name.is_empty() && name.len() <= 64 && name.chars().all(allowed) && name.parse::<f64>().is_err()
+        if let Some(wrong) = names.iter().find(|name| !is_name(name)) {
+            return Err(NamesError::NoName { found: shown(wrong) });
+        }
+        if names.len() > MOST_COLUMNS {
+            return Err(NamesError::TooMany { found: names.len() });
+        }
+        // Of scalars, two may have one name: the second stream gets another.
+        let is_known = |name: &str| IMU.contains(&name) || name == "seq" || is_time(name);
+        let is_again = |&place: &usize| {
+            let name = names[place];
+            is_known(name) && names[..place].iter().any(|&b| b == name || is_time(name) && is_time(b))
         };
-        if names.len() > MOST_COLUMNS || !names.iter().all(is_name) {
-            return None;
+        if let Some(place) = (1..names.len()).find(is_again) {
+            return Err(NamesError::Twice { found: shown(names[place]) });
         }
         let has_imu = IMU.iter().all(|name| names.contains(name));
         let mut scalars: Vec<(String, String)> = Vec::new();
@@ -73,17 +139,30 @@ impl Columns {
         let columns: Vec<Column> = names.iter().map(column).collect();
         let unnamed = scalars.iter().any(|(name, _)| name.is_empty());
         let has_values = has_imu || !scalars.is_empty();
-        (has_values && !unnamed).then_some(Self { columns, has_imu, scalars })
+        if !has_values || unnamed {
+            return Err(NamesError::NoValues { found: shown(text) });
+        }
+        Ok(Self { columns, has_imu, scalars })
     }
 
-    /// The numbers of a line; `None` where it is another number of columns, or not numbers.
+    /// How many numbers a line of them has.
+    pub fn count(&self) -> usize {
+        self.columns.len()
+    }
+
+    /// The numbers of a line; `None` where it is another number of columns, or not numbers. `nan` is a value that is not there.
     pub fn read(&self, text: &str) -> Option<Line> {
-        let mut line = Line { time_ns: None, sequence: None, imu: [0.0; 6], scalars: [0.0; MOST_COLUMNS] };
+        let mut line =
+            Line { time_ns: None, sequence: None, ticks: None, imu: [0.0; 6], scalars: [0.0; MOST_COLUMNS] };
         let mut columns = self.columns.iter();
         for field in text.split(',') {
             let column = columns.next()?;
             let field = field.trim();
             let value: f64 = field.parse().ok()?;
+            // More than a number can be.
+            if value.is_infinite() {
+                return None;
+            }
             match *column {
                 Column::Time(nanos) => {
                     if !(0.0..1e19).contains(&(value * nanos)) {
@@ -91,7 +170,10 @@ impl Columns {
                     }
                     // Whole numbers lose nothing.
                     line.time_ns = Some(match field.parse::<u64>() {
-                        Ok(whole) => whole.checked_mul(nanos as u64)?,
+                        Ok(whole) => {
+                            line.ticks = Some((whole, nanos as u64));
+                            whole.checked_mul(nanos as u64)?
+                        }
                         Err(_) => (value * nanos) as u64,
                     });
                 }
@@ -120,6 +202,42 @@ impl Columns {
     }
 }
 
+/// Times out of the counters of 32 bits that lines have: milliseconds and microseconds since the start of the program.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct LineClock {
+    last: u64,
+    turns: u64,
+}
+
+impl LineClock {
+    /// A fall by nearly all that 32 bits count, so that no more than this passed, is a wrap.
+    const MOST_PAUSE_NS: u64 = 60_000_000_000;
+
+    /// The line's time, where it has one, with the counter's wraps so far.
+    pub fn nanos(&mut self, line: &Line) -> Option<u64> {
+        const RANGE: u64 = 1 << 32;
+        let Some((ticks, tick_ns)) = line.ticks else { return line.time_ns };
+        if ticks >= RANGE {
+            // It has more bits.
+            self.turns = 0;
+        } else if ticks < self.last && self.last < RANGE {
+            let passed = ticks + RANGE - self.last;
+            self.turns += u64::from(passed.saturating_mul(tick_ns) < Self::MOST_PAUSE_NS);
+        }
+        self.last = ticks;
+        Some(self.turns.wrapping_mul(RANGE).wrapping_add(ticks).wrapping_mul(tick_ns))
+    }
+}
+
+/// The bits of a counter of lines that fell from `next` to `sequence`, where that is a wrap; 64 where it is none.
+pub fn sequence_bits(next: u64, sequence: u64) -> u32 {
+    let wraps = |bits: &u32| {
+        let (range, near) = (1u64 << bits, 1u64 << (bits - 4));
+        next <= range && next > range - near && sequence < near
+    };
+    if sequence >= next { 64 } else { [8, 16, 32].into_iter().find(wraps).unwrap_or(64) }
+}
+
 /// Finds lines in bytes that arrive in pieces; memory is bounded.
 #[derive(Debug)]
 pub struct Lines {
@@ -136,6 +254,11 @@ impl Default for Lines {
 }
 
 impl Lines {
+    /// Forgets the beginning of a line.
+    pub fn clear(&mut self) {
+        *self = Self::default();
+    }
+
     /// Takes bytes and hands over each line that they complete, without its end: `None` for one that is too long or not
     /// text.
     pub fn push(&mut self, bytes: &[u8], mut tell: impl FnMut(Option<&str>)) {
@@ -151,7 +274,8 @@ impl Lines {
                 continue;
             }
             let text = std::str::from_utf8(&self.line[..self.length]).ok().map(str::trim);
-            match text.filter(|_| !self.overlong) {
+            let is_text = |text: &&str| !text.contains(|c: char| c.is_control() && c != '\t');
+            match text.filter(|_| !self.overlong).filter(is_text) {
                 Some("") => {}
                 text => tell(text),
             }
@@ -176,8 +300,50 @@ mod tests {
         for wrong in ["1,2", "1500,1,2,3,4,5,6,x,7", "-1,1,2,3,4,5,6,7,8", "1500,1,2,3,4,5,6,36.5,7,8"] {
             assert!(columns.read(wrong).is_none(), "{wrong}");
         }
-        for no_names in ["1,2", "", "a,,b", "time_us,seq", "hello world"] {
-            assert_eq!(Columns::parse(no_names), None, "{no_names}");
+        assert!(columns.read("1500,1,2,3,4,5,6,nan,7").is_some());
+        assert!(columns.read("1500,1,2,3,4,5,6,1e400,7").is_none());
+        for (no_names, what) in [
+            ("1,2", "'1'"),
+            ("", "''"),
+            ("a,,b", "''"),
+            ("2a,b", "'2a'"),
+            ("time_us,seq", "values"),
+            ("hello world", "'hello world'"),
+            ("nan,a", "'nan'"),
+            ("time_us,a,time_ms", "'time_ms' twice"),
+            ("gx,a,gx", "'gx' twice"),
+        ] {
+            let error = Columns::parse(no_names).unwrap_err().to_string();
+            assert!(error.contains(what), "{no_names}: {error}");
+        }
+        assert!(Columns::parse(&vec!["a"; 33].join(",")).unwrap_err().to_string().contains("33"));
+        assert_eq!(Columns::parse("a,a").unwrap().count(), 2);
+    }
+
+    #[test]
+    fn counters_of_32_bits_go_on_where_they_wrap() {
+        let columns = Columns::parse("time_us,a").unwrap();
+        let mut clock = LineClock::default();
+        let mut nanos = |ticks: u64| clock.nanos(&columns.read(&format!("{ticks},1")).unwrap());
+        const RANGE: u64 = 1 << 32;
+        assert_eq!(nanos(RANGE - 1000), Some((RANGE - 1000) * 1000));
+        assert_eq!(nanos(500), Some((RANGE + 500) * 1000));
+        // It began anew, as no minute passed.
+        assert_eq!(nanos(200_000_000), Some((RANGE + 200_000_000) * 1000));
+        assert_eq!(nanos(100), Some((RANGE + 100) * 1000));
+        // It has more bits.
+        assert_eq!(nanos(RANGE + 7), Some((RANGE + 7) * 1000));
+        assert_eq!(nanos(7), Some(7000));
+        for (next, sequence, bits) in [
+            (65_530, 3, 16),
+            (1 << 16, 0, 16),
+            (250, 2, 8),
+            (1 << 32, 5, 32),
+            (65_530, 65_531, 64),
+            (5, 3, 64),
+            (40_000, 1, 64),
+        ] {
+            assert_eq!(sequence_bits(next, sequence), bits, "{next} {sequence}");
         }
     }
 
@@ -185,13 +351,14 @@ mod tests {
     fn lines_are_found_in_any_pieces_and_long_ones_passed_over() {
         let mut text = b"a,b\r\n1,2\n\n".to_vec();
         text.extend(vec![b'9'; 2000]);
-        text.extend(b"\n3,4\n\xFF\n5,6");
+        text.extend(b"\n3,4\n\xFF\n\x01a\n5,6");
         for piece in [1, 5, 4096] {
             let (mut lines, mut found) = (Lines::default(), Vec::new());
             for piece in text.chunks(piece) {
                 lines.push(piece, |line| found.push(line.map(str::to_owned)));
             }
-            let wanted = [Some("a,b"), Some("1,2"), None, Some("3,4"), None].map(|l| l.map(str::to_owned));
+            let wanted =
+                [Some("a,b"), Some("1,2"), None, Some("3,4"), None, None].map(|l| l.map(str::to_owned));
             assert_eq!(found, wanted, "pieces of {piece}");
         }
     }
