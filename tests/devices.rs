@@ -89,6 +89,25 @@ fn a_device_is_recorded_until_interrupted_and_played_again() {
     for key in ["streams", "samples", "dropped", "gaps", "bytes"] {
         assert_eq!(again[key], report[key], "{key}");
     }
+    // The same gap, whoever counts.
+    let check = Command::new(vergence())
+        .args(["log", "check", "--json"])
+        .arg(&log)
+        .output()
+        .expect("the tool starts");
+    let survey = last_object(&String::from_utf8_lossy(&check.stdout)).expect("a survey");
+    let of_events: Vec<_> = survey["streams"]
+        .as_array()
+        .expect("streams")
+        .iter()
+        .filter(|stream| stream["type_name"] == "Event")
+        .map(|stream| (stream["gaps"].as_u64(), stream["device_missing"].as_u64()))
+        .collect();
+    assert_eq!(of_events, [(Some(1), Some(3))], "{survey}");
+    assert_eq!(
+        (report["missing"].as_u64(), report["broken"].as_u64(), report["unread"].as_u64()),
+        (Some(3), Some(0), Some(0))
+    );
     let printed = replay(&["--print", "number"]);
     let numbers = printed
         .lines()
@@ -168,7 +187,7 @@ fn gazes((streams, samples): (Vec<SourceStream>, Samples)) -> (SourceStream, Vec
     let place =
         streams.iter().position(|stream| stream.kind == ReadingKind::Gaze).expect("a stream of gazes");
     let gaze = |(stream, sample): (usize, Sample<Reading<'static>>)| match sample.value {
-        Reading::Gaze(value) if stream == place => {
+        Reading::Gaze(Some(value)) if stream == place => {
             Some(Sample { captured: sample.captured, arrived: sample.arrived, value })
         }
         _ => None,

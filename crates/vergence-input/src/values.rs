@@ -20,10 +20,12 @@ pub(crate) fn reading(kind: ReadingKind, values: &[f64]) -> Option<Reading<'stat
             Reading::Button(Button(values.first().filter(|value| finite(value)).map(|value| *value != 0.0)))
         }
         ReadingKind::Vector2 => Reading::Vector2(Vector2(single(0).zip(single(1)).map(|(x, y)| [x, y]))),
-        ReadingKind::Gaze => Reading::Gaze(Gaze {
-            origin: Point3::from(three(0)?),
-            direction: UnitVector3::try_new(three(3)?, 1e-9).filter(|d| d.iter().all(finite))?,
-        }),
+        ReadingKind::Gaze => {
+            let direction = three(3).and_then(|direction| UnitVector3::try_new(direction, 1e-9));
+            let direction = direction.filter(|direction| direction.iter().all(finite));
+            let gaze = three(0).zip(direction);
+            Reading::Gaze(gaze.map(|(origin, direction)| Gaze { origin: Point3::from(origin), direction }))
+        }
         ReadingKind::Pose => {
             let &[.., x, y, z, w] = values else { return None };
             let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-9)?;

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod breaks;
 mod chunk;
 mod cut;
 mod diff;
@@ -25,6 +26,7 @@ mod survey;
 pub mod wire;
 mod writer;
 
+pub use breaks::Breaks;
 pub use cut::{Kept, Part, cut, first_arrival};
 pub use diff::{Diff, Difference, StreamDiff, diff};
 pub use error::Error;

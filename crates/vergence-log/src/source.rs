@@ -25,7 +25,7 @@ enum Any {
     Scalar(Stream<Scalar>),
     Imu(Stream<Imu>),
     Pose(Stream<Pose>),
-    Gaze(Stream<Gaze>),
+    Gaze(Stream<Option<Gaze>>),
     Image(Stream<Image<'static>>),
     Event(Stream<Event>),
 }
@@ -159,7 +159,7 @@ fn kind_of(stream: &StreamInfo) -> Option<ReadingKind> {
         Scalar::NAME => ReadingKind::Scalar,
         Imu::NAME => ReadingKind::Imu,
         Pose::NAME => ReadingKind::Pose,
-        Gaze::NAME => ReadingKind::Gaze,
+        <Option<Gaze> as Message>::NAME => ReadingKind::Gaze,
         <Image<'_> as Message>::NAME | <Compressed<'_> as Message>::NAME => ReadingKind::Image,
         Event::NAME => ReadingKind::Event,
         _ => return None,

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 use vergence_sense::Event;
 
+use crate::breaks::Breaks;
 use crate::error::Error;
 use crate::header::{FAILED, REPAIRED};
-use crate::message::{ClockKind, Times};
+use crate::message::{ClockKind, Message, Times};
 use crate::messages::times_of;
 use crate::reader::{Ending, Entry, Place, Reader};
 
@@ -69,8 +70,11 @@ pub struct StreamSurvey {
     pub bytes: u64,
     /// One over the median time between captures, Hz (to 5 % where times are uneven); `None` for fewer than two messages or no time between them.
     pub rate_hz: Option<f64>,
-    /// Times between captures of more than twice the median.
+    /// Of a stream of events: the gaps that they tell of their device ([`Breaks`](crate::Breaks)), as a recording counts them. Of another:
+    /// times between captures of more than twice the median.
     pub gaps: u64,
+    /// Of a stream of events: the readings that are missing at these gaps by the device's own numbers.
+    pub device_missing: u64,
     /// The longest time between captures, seconds.
     pub longest_gap_s: f64,
     /// Messages whose number is missing: dropped while recording, or lost with a damaged chunk.
@@ -195,6 +199,7 @@ struct Watched {
     longest: i64,
     intervals: Intervals,
     line: Line,
+    breaks: Breaks,
 }
 
 impl Watched {
@@ -209,6 +214,7 @@ impl Watched {
             longest: 0,
             intervals: Intervals::default(),
             line: Line::default(),
+            breaks: Breaks::default(),
         }
     }
 }
@@ -289,6 +295,8 @@ impl Survey {
             .map(|info| {
                 let seen = watched.get(&info.id).unwrap_or(&nothing);
                 let median = seen.intervals.median_and_gaps();
+                let is_of_events = info.type_name() == Event::NAME;
+                let pauses = median.map_or(0, |(_, gaps)| gaps);
                 StreamSurvey {
                     name: info.name.clone(),
                     type_name: info.type_name().to_owned(),
@@ -299,7 +307,8 @@ impl Survey {
                     count: seen.count,
                     bytes: seen.bytes,
                     rate_hz: median.map(|(median, _)| 1e9 / median),
-                    gaps: median.map_or(0, |(_, gaps)| gaps),
+                    gaps: if is_of_events { seen.breaks.count() } else { pauses },
+                    device_missing: seen.breaks.missing(),
                     longest_gap_s: seen.longest as f64 * 1e-9,
                     missing: seen.missing,
                     delay: seen.line.delay(),
@@ -338,6 +347,12 @@ impl Survey {
             findings_count: findings.count,
             findings: findings.kept,
         }
+    }
+
+    /// The gaps that devices told of themselves, as a recording counts them, and the readings that are missing there by their numbers.
+    pub fn device_gaps(&self) -> (u64, u64) {
+        let of_events = self.streams.iter().filter(|stream| stream.type_name == Event::NAME);
+        of_events.fold((0, 0), |sum, stream| (sum.0 + stream.gaps, sum.1 + stream.device_missing))
     }
 
     /// Everything is there and in order.
@@ -383,10 +398,14 @@ fn watch(stream: &mut Watched, entry: &Entry<'_>, findings: &mut Findings) -> Op
         }
     }
     stream.next = Some(entry.sequence.wrapping_add(1));
-    if name == crate::writer::StreamRecord::OWN
+    if entry.stream.type_name() == Event::NAME
         && let Ok(event) = entry.decode::<Event>()
     {
-        own_event(&event.value, place, findings);
+        if name == crate::writer::StreamRecord::OWN {
+            own_event(&event.value, place, findings);
+        } else {
+            stream.breaks.follow(&event.value);
+        }
     }
     let times = match times_of(entry) {
         Ok(Some(times)) => times,

@@ -39,7 +39,19 @@ fn the_page_has_every_type_and_field() {
             collect(<$t>::SCHEMA, &mut schemas);
         )* };
     }
-    all!(Pose, RawLocation, RawViews, RawJoints, HandJoints, Gaze, Button, Axis, Vector2, Haptic, Event);
+    all!(
+        Pose,
+        RawLocation,
+        RawViews,
+        RawJoints,
+        HandJoints,
+        Option<Gaze>,
+        Button,
+        Axis,
+        Vector2,
+        Haptic,
+        Event
+    );
     all!(FrameTiming, CallResult, FrameHash, Scalar, Imu, Touch, Image<'_>, Compressed<'_>, Row<'_>);
     let mut page = "| type | version | schema | unit |\n|---|---|---|---|\n".to_owned();
     page += &(types.join("\n") + "\n\n```proto\n");
@@ -70,7 +82,7 @@ fn everything(path: &Path, compression: Compression) {
     let views = recorder.stream::<RawViews>(&local("/views")).unwrap();
     let raw_hand = recorder.stream::<RawJoints>(&local("/hand/left/joints")).unwrap();
     let hand = recorder.stream::<HandJoints>(&local("/hand/right/joints")).unwrap();
-    let gaze = recorder.stream::<Gaze>(&local("/gaze")).unwrap();
+    let gaze = recorder.stream::<Option<Gaze>>(&local("/gaze")).unwrap();
     let button = recorder.stream::<Button>(&StreamDesc::new("/action/select")).unwrap();
     let axis = recorder.stream::<Axis>(&StreamDesc::new("/action/trigger")).unwrap();
     let stick = recorder.stream::<Vector2>(&StreamDesc::new("/action/move")).unwrap();
@@ -101,7 +113,7 @@ fn everything(path: &Path, compression: Compression) {
         let joint = RawJoint { pose, validity: Validity::ALL, radius_m: 0.01 };
         recorder.write(&raw_hand, times, &RawJoints { is_active: true, joints: [joint; JOINTS_PER_HAND] });
         recorder.write(&hand, times, &HandJoints::LOST);
-        recorder.write(&gaze, times, &Gaze::of(&located.read()).unwrap());
+        recorder.write(&gaze, times, &Gaze::of(&located.read()).filter(|_| step % 7 != 3));
         recorder.write(&button, times, &Button(Some(step % 2 == 0)));
         recorder.write(&axis, times, &Axis(None));
         recorder.write(&stick, times, &Vector2(Some([0.5, -0.5])));

@@ -135,7 +135,7 @@ proptest! {
                             at: some.then_some(at(ns)), before: d, after: -d };
         survives(times, &event);
         let direction = nalgebra::Unit::new_unchecked(nalgebra::Vector3::new(d, -0.0, 1.0));
-        survives(times, &Gaze { origin: [d, f64::NAN, -0.0].into(), direction });
+        survives(times, &some.then_some(Gaze { origin: [d, f64::NAN, -0.0].into(), direction }));
     }
 }
 

@@ -100,7 +100,8 @@ pub enum Reading<'a> {
     Scalar(Scalar),
     Imu(Imu),
     Pose(Pose),
-    Gaze(Gaze),
+    /// `None`: the eyes are not seen, as in a blink.
+    Gaze(Option<Gaze>),
     Image(Image<'a>),
     Event(Event),
 }

@@ -166,14 +166,11 @@ impl GazeSource {
             Some(_) if is_seen => Some(Event::new("found", "the eyes are seen")),
             Some(_) => Some(Event::new("lost", "the eyes are not seen")),
         };
-        let gave = is_seen || happened.is_some();
         if let Some(event) = happened {
             tell(sink, arrived, event);
         }
-        if let Some(gaze) = value {
-            sink.take(GAZE, Sample { captured, arrived, value: Reading::Gaze(gaze) });
-        }
-        gave
+        sink.take(GAZE, Sample { captured, arrived, value: Reading::Gaze(value) });
+        true
     }
 }
 

@@ -323,6 +323,76 @@ fn hours_of_trouble_are_survived() {
     }
 }
 
+/// A device as dice make it: two minutes of it.
+fn any_device(dice: &mut Dice) -> Device {
+    let latency = match dice.next() % 5 {
+        0 => Latency::Uniform(1.0, 1.0 + 30.0 * dice.unit()),
+        1 => Latency::Exponential(1.0, 0.2 + 6.0 * dice.unit(), 30.0),
+        2 => Latency::Turns(1.0 + 15.0 * dice.unit()),
+        3 => Latency::Wandering(1.0, 2.0 + 28.0 * dice.unit()),
+        _ => Latency::Bursts(100.0 * dice.unit()),
+    };
+    let jumps = (0..dice.next() % 3).map(|_| {
+        let size_ms = [2.0, 20.0, 300.0, 20_000.0][dice.next() as usize % 4];
+        (80.0 * dice.unit(), size_ms * (2.0 * dice.unit() - 1.0))
+    });
+    let jumps = jumps.collect();
+    Device {
+        drift_ppm: 1000.0 * (dice.unit() - 0.5),
+        starts_at: dice.next() >> 32,
+        rate_hz: [25.0, 100.0, 400.0][dice.next() as usize % 3],
+        latency,
+        order: [Order::Sent, Order::Arrival, Order::Wire][dice.next() as usize % 3],
+        jumps,
+        reset: (dice.next().is_multiple_of(4)).then(|| 80.0 * dice.unit()),
+        load: (60.0 * dice.unit(), 5.0 * dice.unit(), 30.0 * dice.unit()),
+        seed: dice.next(),
+        ..Device::default()
+    }
+}
+
+/// Two minutes each of devices as dice make them. Whatever happens to them in the first 85 s, from 100 s on times are neither
+/// before what can be nor late by more than readings take, and the drift is the device's.
+/// `VERGENCE_FUZZ_S` goes on with further dice for so many seconds.
+#[test]
+fn minutes_of_any_device_end_well() {
+    let secs: f64 = std::env::var("VERGENCE_FUZZ_S").ok().and_then(|text| text.parse().ok()).unwrap_or(0.0);
+    let (start, mut worst, mut worst_ppm) = (std::time::Instant::now(), 0f64, 0f64);
+    let mut run = 0;
+    while run < 60 || start.elapsed().as_secs_f64() < secs {
+        let device = any_device(&mut Dice(run));
+        let readings = device.readings(120.0);
+        let mut map = ClockMap::new(ClockKnobs::new(device.counter));
+        let mut errors = Vec::new();
+        for &(captured, raw, arrived) in &readings {
+            let at = Timestamp::from_nanos(arrived);
+            let mapped = map.map(raw, at);
+            let state = map.state();
+            assert!(mapped <= at && state.residual >= Span::ZERO, "run {run}: {state:?}, {device:?}");
+            assert!(
+                state.drift_ppm.is_none_or(|ppm| ppm.abs() <= 5000.0),
+                "run {run}: {state:?}, {device:?}"
+            );
+            errors.push((captured as f64 * 1e-9, (mapped.as_nanos() - captured) as f64 * 1e-6));
+        }
+        let settled = readings.iter().filter(|reading| reading.0 > 90_000_000_000);
+        let least_ms = settled.map(|reading| reading.2 - reading.0).min().expect("readings") as f64 * 1e-6;
+        let error = p99(&errors, 100.0, 120.0, least_ms);
+        let state = map.state();
+        let off = (state.drift_ppm.expect("learnt") - device.drift_ppm).abs();
+        if std::env::var_os("VERGENCE_FUZZ_S").is_some() && (error > worst || off > worst_ppm) {
+            println!("run {run}: {error:.2} ms, {off:.0} ppm, {state:?}, {device:?}");
+        }
+        (worst, worst_ppm) = (worst.max(error), worst_ppm.max(off));
+        assert!(
+            error <= 8.0 && off <= 300.0,
+            "run {run}: {error} ms, off by {off} ppm, {state:?}, {device:?}"
+        );
+        run += 1;
+    }
+    println!("{run} devices: {worst:.2} ms and {worst_ppm:.0} ppm at most");
+}
+
 #[test]
 fn a_declared_latency_is_subtracted() {
     let device = Device::default();

@@ -282,9 +282,10 @@ pub fn words(reading: &Reading<'_>) -> String {
                 )
             },
         ),
-        Reading::Gaze(gaze) => {
-            format!("{}  {}", list(gaze.origin.coords.as_slice()), list(gaze.direction.as_slice()))
-        }
+        Reading::Gaze(gaze) => gaze.map_or_else(
+            || "lost".into(),
+            |gaze| format!("{}  {}", list(gaze.origin.coords.as_slice()), list(gaze.direction.as_slice())),
+        ),
         Reading::Image(image) => {
             format!("{}x{} {} {} B", image.width, image.height, image.encoding, image.data.len())
         }

@@ -201,7 +201,15 @@ fn ending(survey: &Survey) -> String {
     }
 }
 
+/// What `record` said, too.
+fn device_gaps(survey: &Survey) {
+    if let (gaps @ 1.., missing) = survey.device_gaps() {
+        println!("{gaps} gaps told by devices, {missing} readings missing by their numbers");
+    }
+}
+
 fn table(survey: &Survey) {
+    device_gaps(survey);
     let width = survey.streams.iter().map(|stream| stream.name.len()).max().unwrap_or(0).max(6);
     println!(
         "\n{:width$}  {:12} {:20} {:8} {:8} {:>9} {:>5} {:>8} {:>10}",
@@ -237,6 +245,7 @@ fn check(one: &One) -> Result<(), Failure> {
         print_json(&Checked { well, survey: &survey })?;
     } else {
         println!("{}", ending(&survey));
+        device_gaps(&survey);
         for finding in &survey.findings {
             let stream = if finding.stream.is_empty() { "the file" } else { &finding.stream };
             println!("byte {}, {stream}: {}: {}", finding.offset, finding.kind, finding.sentence);

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use vergence_log::{Ending, Header, LogSource, Options, Reader, Recorder, SourceLane};
+use vergence_log::{Breaks, Ending, Header, LogSource, Options, Reader, Recorder, SourceLane};
 use vergence_sense::{Event, Progress, Reading, Sample, Sink, Source, SourceStream};
 use vergence_time::{Clock, HostClock, Span, Timestamp};
 
@@ -86,38 +86,17 @@ struct Counted<'a> {
     gaps: &'a AtomicU64,
     /// Whether the device has said anything else than events and how its clock stands.
     has_readings: bool,
-    lost: Gaps,
-}
-
-/// Breaks of one device: numbers that are missing, and times without it.
-#[derive(Default)]
-struct Gaps {
-    was_there: bool,
-    count: u64,
-}
-
-impl Gaps {
-    /// Whether the event is a break.
-    fn follow(&mut self, event: &Event) -> bool {
-        let is_one = match &*event.name {
-            "gap" => true,
-            // It was away until now.
-            "connected" => std::mem::replace(&mut self.was_there, true),
-            _ => false,
-        };
-        self.count += u64::from(is_one);
-        is_one
-    }
+    lost: Breaks,
 }
 
 impl Counted<'_> {
     fn hear(&mut self, event: &Event) {
-        let was_there = self.lost.was_there;
+        let was_there = self.lost.was_there();
         if self.lost.follow(event) {
             self.gaps.fetch_add(1, Ordering::Relaxed);
         }
         let is_said = match &*event.name {
-            "gap" => self.lost.count == 1,
+            "gap" => self.lost.count() == 1,
             "connected" => was_there,
             "disconnected" | "no_frames" | "no_lines" | "line" | "clock_ignored" | "description"
             | "unread" | "restarted" => true,
@@ -188,7 +167,7 @@ impl Args {
                 samples: &samples,
                 gaps: &gaps,
                 has_readings: false,
-                lost: Gaps::default(),
+                lost: Breaks::default(),
             });
         }
         let start = Instant::now();
@@ -305,7 +284,7 @@ struct Printed<'a> {
     streams: Vec<(String, bool)>,
     samples: u64,
     /// By the place of the stream of events.
-    gaps: BTreeMap<usize, Gaps>,
+    gaps: BTreeMap<usize, Breaks>,
     dropped: u64,
     first: Option<Timestamp>,
     last: Option<Timestamp>,
@@ -423,7 +402,7 @@ pub fn replay(path: &Path, speed: Option<f64>, print: Option<&str>, json: bool) 
         streams: source.announced(),
         samples: sink.samples,
         dropped: sink.dropped,
-        gaps: sink.gaps.values().map(|gaps| gaps.count).sum(),
+        gaps: sink.gaps.values().map(|gaps| gaps.count()).sum(),
         seconds: seconds.as_secs_f64(),
         bytes: std::fs::metadata(path).map_or(0, |file| file.len()),
         losses: BTreeMap::new(),

@@ -203,7 +203,7 @@ impl HidSource {
                     };
                     tell(sink, arrived, event);
                 }
-                gaze.map(Reading::Gaze)
+                Some(Reading::Gaze(gaze))
             } else {
                 reading(open.resolved.stream.kind, values)
             };

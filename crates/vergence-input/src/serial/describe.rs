@@ -83,7 +83,7 @@ pub struct Description {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Payload {
     Value(Reading<'static>),
-    /// It fits, and has no value: numbers that are none, a direction of no length.
+    /// It fits, and has no value: numbers that are none.
     Nothing,
     /// It has another length.
     Misfit,
@@ -247,9 +247,9 @@ mod tests {
             assert!(error.contains("expected") && error.contains("found"), "{text}: {error}");
         }
         let gaze: Description = "eye gaze f32".parse().unwrap();
-        assert_eq!(gaze.read(&[0; 24]), Payload::Nothing);
+        assert_eq!(gaze.read(&[0; 24]), Payload::Value(Reading::Gaze(None)));
         let nan: Vec<u8> = [f32::NAN; 6].iter().flat_map(|v| v.to_le_bytes()).collect();
-        assert_eq!(gaze.read(&nan), Payload::Nothing);
+        assert_eq!(gaze.read(&nan), Payload::Value(Reading::Gaze(None)));
         for (kind, wanted) in [
             ("scalar", Payload::Nothing),
             ("axis", Payload::Value(Reading::Axis(Axis(None)))),

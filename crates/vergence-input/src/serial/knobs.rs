@@ -18,7 +18,7 @@ pub enum Format {
     Lines,
 }
 
-/// Knobs of a [`SerialSource`].
+/// Knobs of a [`SerialSource`](super::SerialSource).
 #[derive(Clone, Debug)]
 pub struct SerialConfig {
     /// Bits per second on the wire; USB devices pass over it.

@@ -502,7 +502,7 @@ impl SerialSource {
         let mut held = Backlog::new(sink);
         self.backlog = Some(Vec::new());
         let start = self.clock.now();
-        let mut left = MOST_BACKLOG;
+        let (mut left, mut gave) = (MOST_BACKLOG, false);
         // What goes wrong here goes wrong again at the next reading.
         while left > 0
             && let Some(port) = &mut self.port
@@ -511,12 +511,15 @@ impl SerialSource {
             let arrived = self.clock.now();
             let count = count.min(CHUNK);
             left = left.saturating_sub(count);
-            self.take(&buffer[..count], count, arrived, &mut held);
+            gave |= self.take(&buffer[..count], count, arrived, &mut held);
             if arrived.since(start).is_none_or(|passed| passed > BACKLOG_LONGEST) {
                 break;
             }
         }
         held.finish(&self.backlog.take().unwrap_or_default(), self.lost_at);
+        if gave {
+            self.report.say(self.clock_state(), self.clock.now(), sink);
+        }
     }
 }
 

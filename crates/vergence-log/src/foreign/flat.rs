@@ -40,7 +40,7 @@ pub fn schema_of(type_name: &str) -> Option<&'static Schema> {
         RawViews,
         RawJoints,
         HandJoints,
-        Gaze,
+        Option<Gaze>,
         Button,
         Axis,
         Vector2,

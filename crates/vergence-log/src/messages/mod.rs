@@ -53,7 +53,7 @@ pub(crate) fn schema_of(type_name: &str) -> Option<&'static Schema> {
         sense::RawViews,
         sense::RawJoints,
         sense::HandJoints,
-        sense::Gaze,
+        Option<sense::Gaze>,
         sense::Button,
         sense::Axis,
         sense::Vector2,

@@ -228,8 +228,10 @@ pub(super) fn check_joints(count: usize) -> Result<(), WireError> {
     Err(WireError::Value { what: "joints of a hand", expected: "26", found: count.to_string() })
 }
 
-impl Message for Gaze {
+/// `None`: the eyes were not seen. Such a message has neither origin nor direction; in version 1 each had.
+impl Message for Option<Gaze> {
     const NAME: &'static str = "Gaze";
+    const VERSION: u32 = 2;
     const UNIT: &'static str = "m, unit vector";
     const SCHEMA: &'static Schema = &Schema {
         name: "vergence.Gaze",
@@ -238,22 +240,34 @@ impl Message for Gaze {
             CAPTURED_NS,
             ARRIVED_NS,
             Field::one("frame_id", 3, Kind::String, "reference frame"),
-            Field::one("origin", 4, Kind::Message(&VECTOR3), "between the eyes, metres"),
-            Field::one("direction", 5, Kind::Message(&VECTOR3), "of unit length"),
+            Field::one(
+                "origin",
+                4,
+                Kind::Message(&VECTOR3),
+                "between the eyes, metres; missing where they are not seen",
+            ),
+            Field::one(
+                "direction",
+                5,
+                Kind::Message(&VECTOR3),
+                "of unit length; missing where the eyes are not seen",
+            ),
         ],
     };
 
     fn encode(&self, times: Times, frame: &str, out: &mut Encoder<'_>) {
         put_times(times, out);
         out.text(3, frame);
-        for (field, vector) in [(4, &self.origin.coords), (5, self.direction.as_ref())] {
+        let Some(gaze) = self else { return };
+        for (field, vector) in [(4, &gaze.origin.coords), (5, gaze.direction.as_ref())] {
             out.message(field, |out| (1..).zip(vector.iter()).for_each(|(n, &value)| out.double(n, value)));
         }
     }
 
     fn decode(bytes: &[u8]) -> Result<Sample<Self>, WireError> {
-        let (mut times, mut vectors) = (Gathered::default(), [[0.0; 3]; 2]);
+        let (mut times, mut vectors, mut is_seen) = (Gathered::default(), [[0.0; 3]; 2], false);
         Decoder::new(bytes).each(|number, value| {
+            is_seen |= number == 5;
             match number {
                 4 | 5 => Decoder::new(value.bytes()?).each(|axis, value| {
                     if let Some(slot) = vectors[number as usize - 4].get_mut((axis as usize).wrapping_sub(1))
@@ -267,9 +281,9 @@ impl Message for Gaze {
             Ok(())
         })?;
         let [origin, direction] = vectors;
-        Ok(times.sample(Self {
+        Ok(times.sample(is_seen.then(|| Gaze {
             origin: origin.into(),
             direction: nalgebra::Unit::new_unchecked(direction.into()),
-        }))
+        })))
     }
 }
