@@ -329,6 +329,10 @@ mod tests {
         std::fs::write(&mapping, text).expect("written");
         let error = Config::read(&config).unwrap_err().to_string();
         assert!(error.contains("unit.toml:2:12: expected bytes such as"), "{error}");
+        let text = "name = \"unit\"\nleast_latency = \"-1 ms\"\nmatch = [{ vendor = 1 }]\nstream = []\n";
+        std::fs::write(&mapping, text).expect("written");
+        let error = Config::read(&config).unwrap_err().to_string();
+        assert!(error.contains("unit.toml:2:1: expected a latency"), "{error}");
     }
 
     #[test]

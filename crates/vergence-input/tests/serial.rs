@@ -466,6 +466,12 @@ fn frames_that_nothing_describes_are_said_once() {
         "{said:?}"
     );
     assert_eq!((source.totals().unread, values_of(&samples).len()), (500, 0));
+    // Also where they end soon.
+    let mut few = pieces(7, 4);
+    few[0].truncate(50);
+    few[0].push((2000, vec![0]));
+    let (_, samples) = scripted(few, described("n scalar u32"));
+    assert_eq!(texts(&samples, "unread").len(), 1);
     let (source, samples) = scripted(pieces(1, 3), described("n scalar u32"));
     let said = texts(&samples, "unread");
     assert!(said.len() == 1 && said[0].contains("have 3 bytes") && said[0].ends_with("with 4"), "{said:?}");

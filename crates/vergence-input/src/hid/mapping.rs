@@ -294,6 +294,10 @@ impl Mapping {
         let locator = |text: &toml::Spanned<String>| {
             text.get_ref().parse::<Locator>().map_err(|message| at(text.span().start, &message))
         };
+        if raw.least_latency.is_some_and(|least| least.seconds() < 0.0) {
+            let offset = text.find("least_latency").unwrap_or(0);
+            return Err(at(offset, "expected a latency that is not negative"));
+        }
         let mut matches = Vec::new();
         for raw in raw.matches {
             let known =

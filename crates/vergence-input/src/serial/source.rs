@@ -90,6 +90,8 @@ pub struct SerialSource {
     frames: Decoder,
     known: Vec<Option<Known>>,
     strange: Vec<Strange>,
+    /// The first stream that nothing described so far, and when that is to be said.
+    undescribed: Option<(usize, Timestamp)>,
     text: Lines,
     table: Table,
     /// The place of the first stream of the table's columns.
@@ -155,6 +157,7 @@ impl SerialSource {
             frames: Decoder::new(),
             known: (0..256).map(|_| None).collect(),
             strange: vec![Strange::default(); 256],
+            undescribed: None,
             text: Lines::default(),
             table: Table::new(config.columns.clone()),
             columns_place: 0,
@@ -337,6 +340,13 @@ impl SerialSource {
     /// Counts a frame that is not read, and says so once: where nothing describes it, when it could have been described.
     fn strange(&mut self, number: usize, length: usize, arrived: Timestamp, sink: &mut dyn Sink) {
         self.totals.unread += 1;
+        if self.known[number].is_none() && self.strange[number].since.is_none() {
+            self.undescribed.get_or_insert((number, arrived.saturating_add(DESCRIBED_WITHIN)));
+        }
+        self.say_strange(number, length, arrived, sink);
+    }
+
+    fn say_strange(&mut self, number: usize, length: usize, arrived: Timestamp, sink: &mut dyn Sink) {
         let strange = &mut self.strange[number];
         let since = *strange.since.get_or_insert(arrived);
         if strange.is_told {
@@ -544,6 +554,14 @@ impl Source for SerialSource {
             let left = until.since(now).map_or(i64::MAX, Span::as_nanos);
             if left <= 0 {
                 break Progress::Idle;
+            }
+            // Also where no more of it comes.
+            if let Some((number, due)) = self.undescribed.filter(|(_, due)| now >= *due) {
+                self.undescribed = None;
+                if self.known[number].is_none() && !self.strange[number].is_told {
+                    self.say_strange(number, 0, due, sink);
+                    break Progress::Gave;
+                }
             }
             let Some(port) = &mut self.port else {
                 if now < self.try_at {
