@@ -384,8 +384,10 @@ fn minutes_of_any_device_end_well() {
             println!("run {run}: {error:.2} ms, {off:.0} ppm, {state:?}, {device:?}");
         }
         (worst, worst_ppm) = (worst.max(error), worst_ppm.max(off));
+        // Of many devices one is unluckier; what runs away is off by thousands, and by tens of milliseconds.
+        let (most_ms, most_ppm) = if run < 60 { (4.0, 200.0) } else { (10.0, 600.0) };
         assert!(
-            error <= 8.0 && off <= 300.0,
+            error <= most_ms && off <= most_ppm,
             "run {run}: {error} ms, off by {off} ppm, {state:?}, {device:?}"
         );
         run += 1;
