@@ -1,7 +1,7 @@
 //! Odometry over a rig that is live, replayed from a log, and read from a data set's folder: the same poses, to the last bit.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::sync::{Arc, Mutex};
 
 use vergence_log::{Header, Options, Recorder, SourceLane};
@@ -157,10 +157,46 @@ fn an_imported_log_is_followed_as_its_folder_is() {
     let compared = tool(&["slam", "eval", text(&by_log), text(&rig)]);
     assert!(compared.status.success(), "{}", told(&compared));
 
+    // What is read is not written over, nor is one output by the other.
+    let truth = rig.join("truth.tum");
+    let states = folder.path().join("states.csv");
+    for (poses, states) in [(&truth, &states), (&by_log, &by_log), (&by_log, &truth)] {
+        let arguments = ["slam", "run", text(&rig), "-o", text(poses), "--states", text(states)];
+        let refused = tool(&arguments);
+        assert_eq!(refused.status.code(), Some(2), "{}", told(&refused));
+    }
+    assert_eq!(Trajectory::read(&truth).expect("the truth").poses.len(), 24);
+    assert_eq!(Trajectory::read(&by_log).expect("poses").poses.len(), 24);
+
     // A log without a rig, and one whose calibration is not there.
     let poses = folder.path().join("poses.mcap");
     assert!(tool(&["log", "import", "tum", text(&by_log), "-o", text(&poses)]).status.success());
     let refused = tool(&["slam", "run", text(&poses), "-o", text(&folder.path().join("no.tum"))]);
     assert_eq!(refused.status.code(), Some(1), "{}", told(&refused));
     assert!(told(&refused).contains("poses.mcap: expected a log of a rig"), "{}", told(&refused));
+}
+
+#[test]
+fn an_end_keeps_what_was_done() {
+    let Some(dataset) = beginning(1) else { return };
+    let whole = dataset.root.clone();
+    let folder = tempfile::tempdir().expect("a folder");
+    let poses = folder.path().join("poses.tum");
+    // It listens before it opens what it writes.
+    let arguments = ["slam", "run", text(&whole), "-o", text(&poses), "--json"];
+    let running =
+        Command::new(vergence()).args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let mut running = running.expect("the binary runs");
+    let begun = std::time::Instant::now();
+    while !poses.exists() {
+        assert!(begun.elapsed().as_secs() < 120 && running.try_wait().expect("a child").is_none());
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    let interrupt = Command::new("kill").args(["-INT", &running.id().to_string()]).status();
+    assert!(interrupt.expect("kill runs").success());
+    let ended = running.wait_with_output().expect("it ends");
+    assert!(ended.status.success(), "{}", told(&ended));
+    assert!(told(&ended).contains("of 280 frames, as asked"), "{}", told(&ended));
+    assert!(String::from_utf8_lossy(&ended.stdout).contains("\"frames\":280"));
+    assert!(std::fs::read_to_string(&poses).expect("poses").lines().count() < 280);
 }

@@ -60,7 +60,7 @@ pub enum Error {
         found: f64,
     },
     /// A calibration whose cameras sit otherwise than pictures and readings show.
-    #[error("{}: expected cameras that sit as T_BS says, found rotated extrinsics: {misfit}", name.display())]
+    #[error("{}: expected cameras that see what their calibration says, found {misfit}", name.display())]
     Mounting {
         /// Of the recording.
         name: PathBuf,

@@ -19,19 +19,33 @@ pub struct Misfit {
     pub beside: Option<usize>,
     /// By how much it is turned, rad.
     pub turned_rad: f64,
+    /// The inverse of what is said would fit.
+    pub inverted: bool,
 }
 
 impl std::fmt::Display for Misfit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let (camera, degrees) = (self.camera, self.turned_rad.to_degrees());
         match self.beside {
+            _ if self.inverted => write!(
+                f,
+                "inverted extrinsics: T_BS takes the camera's coordinates to the body's (it is the inverse of Kalibr's T_cam_imu)"
+            ),
+            // What nobody mounts wrongly.
+            Some(other) if degrees < 3.0 => write!(
+                f,
+                "others: cam{camera} and cam{other} are not turned, but what they see does not fit; are intrinsics and distortion right?"
+            ),
             Some(other) => {
-                write!(f, "cam{camera} is turned by {degrees:.0} degrees against what it and cam{other} see")
+                write!(
+                    f,
+                    "rotated extrinsics: cam{camera} is turned by {degrees:.0} degrees against what it and cam{other} see"
+                )
             }
             None => {
                 write!(
                     f,
-                    "cam{camera} is turned by {degrees:.0} degrees against what it sees and the gyroscope feels"
+                    "rotated extrinsics: cam{camera} is turned by {degrees:.0} degrees against what it sees and the gyroscope feels"
                 )
             }
         }
@@ -70,6 +84,8 @@ struct Other {
     frames: usize,
     /// First from this one, as pictures show it against the calibration.
     against: Vec<Rigid>,
+    /// Looks that the inverse of what is said would explain.
+    inverse: usize,
     /// Looks for the calibration.
     fine: usize,
     looked: usize,
@@ -205,7 +221,8 @@ impl Mounting {
         if sizes[1].sqrt() > SPREAD && left < UNEXPLAINED * all {
             let is_wrong = left_by_said > (WORSE * left).max(0.5 * UNEXPLAINED * all);
             if turned_rad > AGAINST_GYROSCOPE && is_wrong {
-                self.found = Some(Misfit { camera: 0, beside: None, turned_rad });
+                let inverted = best.angle_to(&said.inverse()) < AGAINST_GYROSCOPE;
+                self.found = Some(Misfit { camera: 0, beside: None, turned_rad, inverted });
                 self.decided = true;
             } else if turned_rad < 0.5 * AGAINST_GYROSCOPE {
                 self.decided = true;
@@ -223,18 +240,21 @@ impl Mounting {
         other.looked += 1;
         let (first, second) = (&self.rig[0], &self.rig[camera]);
         let said = first.body_from_camera.inverse() * second.body_from_camera;
-        match look([&pictures[0], &pictures[camera]], [first, second], &said) {
+        let inverse = first.body_from_camera * second.body_from_camera.inverse();
+        match look([&pictures[0], &pictures[camera]], [first, second], [&said, &inverse]) {
             Look::Nothing => {}
             Look::For => other.fine += 1,
-            Look::Against(found) => {
+            Look::Against { found, inverse_fits } => {
                 other.against.push(found);
+                other.inverse += usize::from(inverse_fits);
                 let like = |look: &&Rigid| look.rotation.angle_to(&found.rotation) < AGREE;
                 if other.against.iter().filter(like).count() >= LOOKS.0 && other.fine == 0 {
                     // A baseline that points the wrong way is a turn, too.
                     let ways = found.translation.vector.angle(&said.translation.vector);
                     let turned_rad = found.rotation.angle_to(&said.rotation);
                     let turned_rad = if ways > 1.5 { ways.max(turned_rad) } else { turned_rad };
-                    self.found = Some(Misfit { camera, beside: Some(0), turned_rad });
+                    let inverted = other.inverse * 2 > other.against.len();
+                    self.found = Some(Misfit { camera, beside: Some(0), turned_rad, inverted });
                 }
             }
         }
@@ -246,7 +266,12 @@ impl Mounting {
 enum Look {
     Nothing,
     For,
-    Against(Rigid),
+    Against {
+        /// First from second, as the pictures show it.
+        found: Rigid,
+        /// Whether the inverse of what is said would explain them.
+        inverse_fits: bool,
+    },
 }
 
 /// Whether a pose (first from second) explains a match: both rays are near their epipolar planes and meet before the cameras, or are as good as
@@ -261,8 +286,9 @@ fn explains(pose: &Rigid, (first, second): &RayPair, angle_rad: f64) -> bool {
         && (meet || first.angle(&turned) < 2.0 * angle_rad)
 }
 
-/// Whether what two cameras see at one instant tells for where the calibration has the second one, in the first one's frame.
-fn look(pictures: [&Gray; 2], cameras: [&Camera; 2], said: &Rigid) -> Look {
+/// Whether what two cameras see at one instant tells for where the calibration has the second one, in the first one's frame; and for where it
+/// would be with both cameras' places inverted.
+fn look(pictures: [&Gray; 2], cameras: [&Camera; 2], [said, inverse]: [&Rigid; 2]) -> Look {
     let described = pictures.map(|picture| {
         let (mut points, mut words) = (Vec::new(), Vec::new());
         let orb = Orb::new(picture.width(), picture.height(), OrbKnobs::default());
@@ -278,12 +304,14 @@ fn look(pictures: [&Gray; 2], cameras: [&Camera; 2], said: &Rigid) -> Look {
         |m: &Match| Some((ray(cameras[0], first[m.first].pixel)?, ray(cameras[1], second[m.second].pixel)?));
     let pairs: Vec<RayPair> = matches.iter().filter_map(pair).collect();
     let angle_rad = PIXELS / cameras[0].lens.focal_px().max();
-    let explained = pairs.iter().filter(|pair| explains(said, pair, angle_rad)).count();
+    let by = |pose: &Rigid| pairs.iter().filter(|pair| explains(pose, pair, angle_rad)).count();
+    let explained = by(said);
     match relative_pose(&pairs, angle_rad, &RansacKnobs { most: 2000, ..KNOBS }) {
         Some((found, fine))
             if fine.len() >= AGREEING && (explained as f64) < EXPLAINED * fine.len() as f64 =>
         {
-            Look::Against(found)
+            let inverse_fits = by(inverse) as f64 >= EXPLAINED * fine.len() as f64;
+            Look::Against { found, inverse_fits }
         }
         _ if explained >= AGREEING => Look::For,
         _ => Look::Nothing,

@@ -24,6 +24,10 @@ pub enum State {
     FindingGravity,
     /// Poses are provisional: the camera has not moved far enough to see how far anything is.
     FindingDepth,
+    /// Poses are provisional: next to nothing is seen in the pictures.
+    FindingCorners,
+    /// What is seen does not fit together: lens, mounting or times are not what they are said to be.
+    Disagreeing,
     /// Within three of its own standard deviations.
     Tracked,
     /// Too few points are seen: the inertial unit alone carries it.
@@ -41,6 +45,12 @@ impl State {
                 "provisional: gravity and velocity are being found; standing still or moving for a second helps"
             }
             Self::FindingDepth => "provisional: distances are not known yet; moving sideways helps",
+            Self::FindingCorners => {
+                "provisional: next to nothing is seen in the pictures; are they dark, blurred, or few bits of sixteen?"
+            }
+            Self::Disagreeing => {
+                "not to be trusted: what is seen does not fit together; are intrinsics, distortion, T_BS and times right?"
+            }
             Self::Tracked => "tracked",
             Self::Coasting => "carried by the inertial unit: too few points are seen",
             Self::Lost => "lost: nothing is seen that holds the pose",
@@ -71,6 +81,9 @@ pub struct Estimate {
     pub known: usize,
     /// Points of the map that were thrown away after this frame.
     pub outliers: usize,
+    /// Root mean square of what is left between where points are seen and where they should be, over the window, pixels. Far above
+    /// [`Params::pixel_px`], the lens or the unit is not what it is said to be.
+    pub residual_px: f64,
 }
 
 /// Sliding-window odometry; see the crate's page. Feed readings and frames in the order of time.
@@ -93,6 +106,8 @@ pub struct Odometry {
     /// The last frame that saw enough, where the latest did not.
     unseen_since: Option<Timestamp>,
     adrift: usize,
+    /// Residual over the latest half second, pixels, and the frame before.
+    misfit_px: f64,
     last: Option<Estimate>,
     biases: Biases,
 }
@@ -108,6 +123,11 @@ const GRAVITY_RAD: f64 = 0.03;
 
 /// Frames in a row of which most points had to be thrown away: what is estimated is not what is seen.
 const ADRIFT: usize = 3;
+/// What is left of sightings settles over this, s. Beyond so many deviations of a corner (with and without inertial unit) it is no noise: right
+/// calibrations leave 0.1 to 0.7 of one, 1.8 without a unit behind a lens that nobody has calibrated; a focal length that is a tenth off 1.4, distortion that
+/// is left out 2.3.
+const MISFIT_S: f64 = 0.5;
+const MISFIT: (f64, f64) = (1.25, 2.5);
 /// Points that say so little of the velocity (standard deviation, m/s) hold no position: they are too far away.
 const UNKNOWN_M_S: f64 = 0.3;
 
@@ -131,6 +151,7 @@ impl Odometry {
             since_keyframe: 0,
             unseen_since: None,
             adrift: 0,
+            misfit_px: 0.0,
             last: None,
             biases: Biases::default(),
         }
@@ -401,7 +422,7 @@ impl Odometry {
             let long = self.window.frames.len() > 2 * params.first_frames;
             self.solve(if self.settled || long { params.iterations } else { 3 * params.iterations });
         }
-        let outliers = self.drop_outliers();
+        let (outliers, residual_px) = self.drop_outliers();
         if (keyframe || begins) && (ready || first) {
             self.since_keyframe = 0;
             self.make_points();
@@ -414,7 +435,16 @@ impl Odometry {
         self.adrift = if outliers > known.saturating_sub(outliers) { self.adrift + 1 } else { 0 };
         // Points that this frame has made hold it as well as known ones.
         let held = if first || begins { self.window.points.len() } else { known };
-        let state = self.judge(held, position_sigma_m, velocity_sigma_m_s);
+        let span = self.last.and_then(|last| time.since(last.time)).map_or(0.0, Span::as_secs_f64);
+        if known >= FEWEST {
+            self.misfit_px += (residual_px - self.misfit_px) * (span / MISFIT_S).min(1.0);
+        }
+        let state = if !self.settled && !first && tracks < FEWEST && known < FEWEST {
+            self.judge(held, position_sigma_m, velocity_sigma_m_s);
+            State::FindingCorners
+        } else {
+            self.judge(held, position_sigma_m, velocity_sigma_m_s)
+        };
         let last = self.window.frames.last().expect("a frame was pushed above");
         let motion = last.motion_now();
         self.biases = motion.biases;
@@ -429,6 +459,7 @@ impl Odometry {
             keyframe,
             known,
             outliers,
+            residual_px,
         };
         self.shrink();
         self.forget(time);
@@ -475,14 +506,22 @@ impl Odometry {
     }
 
     /// Sightings that lie far off are thrown away, and points that are left with too few.
-    fn drop_outliers(&mut self) -> usize {
+    /// Throws away what does not fit; how many points, and the root mean square of what is left, pixels.
+    fn drop_outliers(&mut self) -> (usize, f64) {
         let limit = self.window.params.outlier_px;
         let mut points = std::mem::take(&mut self.window.points);
         let last = self.window.frames.last().map_or(0, |f| f.id);
         self.just_refused.clear();
+        let (mut square, mut count) = (0.0, 0_usize);
         for point in &mut points {
             let seen = std::mem::take(&mut point.seen);
-            let fine = |o: &Observation| self.window.residual_px(point, o).is_some_and(|r| r < limit);
+            let mut fine = |o: &Observation| {
+                let residual = self.window.residual_px(point, o).filter(|r| *r < limit);
+                if let Some(residual) = residual {
+                    (square, count) = (square + residual * residual, count + 1);
+                }
+                residual.is_some()
+            };
             let kept: Vec<Observation> = seen.iter().filter(|o| fine(o)).copied().collect();
             let host_lost =
                 seen.iter().any(|o| o.frame == point.host) && !kept.iter().any(|o| o.frame == point.host);
@@ -499,7 +538,7 @@ impl Odometry {
         self.window.number();
         self.index();
         self.just_refused.sort_unstable();
-        self.just_refused.len()
+        (self.just_refused.len(), (square / count.max(1) as f64).sqrt())
     }
 
     pub(crate) fn index(&mut self) {
@@ -644,9 +683,14 @@ impl Odometry {
             if tilt > GRAVITY_RAD && !standing {
                 return State::FindingGravity;
             }
+            if !self.settled && !standing && self.scale_is_rough(position_sigma_m) {
+                return State::FindingDepth;
+            }
         }
+        let limit = params.pixel_px * if params.inertial.is_some() { MISFIT.0 } else { MISFIT.1 };
         match unseen_s {
             _ if self.adrift >= ADRIFT => State::Lost,
+            None if self.misfit_px > limit => State::Disagreeing,
             None if velocity_sigma_m_s > UNKNOWN_M_S => State::FindingDepth,
             None => State::Tracked,
             Some(seconds) if params.inertial.is_some() && seconds < LONGEST_UNSEEN_S => State::Coasting,

@@ -22,6 +22,8 @@ const SPAN_S: (f64, f64, f64) = (0.35, 0.7, 2.5);
 const VIEWS: usize = 10;
 const CORNERS: usize = 40;
 
+/// Poses are tracked when the position is known this well, as a share of the way, or the way is shorter than this, m.
+const ROUGH: (f64, f64) = (0.1, 0.05);
 /// The size of everything is known when the position is known this well, as a share of the way; the window waits for it no longer than
 /// this, s, with at most so many frames.
 const SCALE: f64 = 0.008;
@@ -59,10 +61,21 @@ impl Odometry {
             return true;
         }
         let (Some(first), Some(last)) = (window.frames.first(), window.frames.last()) else { return true };
-        let place = |f: &crate::window::Frame| f.pose.translation.vector;
-        let way = window.frames.iter().map(|f| (place(f) - place(first)).norm()).fold(0.0, f64::max);
-        position_sigma_m < SCALE * way
+        position_sigma_m < SCALE * self.way_m()
             || last.time.since(first.time).is_none_or(|s| s.as_secs_f64() > LONGEST_S)
+    }
+
+    /// Whether one camera and an inertial unit know how large everything is too badly for a pose that can be trusted.
+    pub(crate) fn scale_is_rough(&self, position_sigma_m: f64) -> bool {
+        let way = self.way_m();
+        !self.knows_scale(position_sigma_m) && way > ROUGH.1 && position_sigma_m > ROUGH.0 * way
+    }
+
+    /// How far the window reaches from its first frame, m.
+    fn way_m(&self) -> f64 {
+        let place = |f: &crate::window::Frame| f.pose.translation.vector;
+        let Some(first) = self.window.frames.first() else { return 0.0 };
+        self.window.frames.iter().map(|f| (place(f) - place(first)).norm()).fold(0.0, f64::max)
     }
 
     /// Where the window waits long, frames between others are let go that no point hangs on; their readings stay.

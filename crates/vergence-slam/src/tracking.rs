@@ -41,7 +41,7 @@ pub struct Tracking {
     rig: Vec<Camera>,
     tracker: Tracker,
     odometry: Odometry,
-    mounting: Mounting,
+    mounting: Option<Mounting>,
     misfit: Option<Misfit>,
     /// Of the pictures of the frame before.
     sum: Option<u64>,
@@ -62,7 +62,7 @@ impl Tracking {
             rig: rig.to_vec(),
             tracker: Tracker::new(rig, knobs)?,
             odometry: Odometry::new(params, rig.iter().map(|c| c.body_from_camera).collect()),
-            mounting: Mounting::new(rig, params.inertial.is_some()),
+            mounting: params.check_mounting.then(|| Mounting::new(rig, params.inertial.is_some())),
             misfit: None,
             sum: None,
             expected: Vec::new(),
@@ -86,8 +86,8 @@ impl Tracking {
     /// the one before.
     pub fn imu(&mut self, time: Timestamp, imu: &Imu) -> bool {
         let taken = self.odometry.imu(time, imu);
-        if taken {
-            self.mounting.imu(time, imu);
+        if let (true, Some(mounting)) = (taken, &mut self.mounting) {
+            mounting.imu(time, imu);
         }
         taken
     }
@@ -128,7 +128,7 @@ impl Tracking {
         }
         let prediction = Prediction { now_from_before, pixels: &self.pixels };
         let frame = self.tracker.track(pictures, &prediction)?;
-        self.misfit = self.mounting.frame(time, pictures, frame);
+        self.misfit = self.mounting.as_mut().and_then(|mounting| mounting.frame(time, pictures, frame));
         self.sightings.clear();
         for (index, (camera, list)) in self.rig.iter().zip(&frame.cameras).enumerate() {
             for seen in list {

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use vergence_geom::{Camera, Distortion, Lens, Rigid};
 use vergence_sense::Imu;
 use vergence_slam::Inertial;
-use vergence_slam::dataset::{Dataset, Rig, Writer, rig};
+use vergence_slam::dataset::{Calibration, Dataset, Rig, Writer, rig};
 use vergence_slam::trajectory::Trajectory;
 use vergence_time::Timestamp;
 
@@ -304,6 +304,11 @@ fn a_calibration_that_cannot_be_is_named() {
             "0.0, 0.0, 0.0, 2.0]",
             "expected T_BS: the last row 0, 0, 0, 1, found [0.0, 0.0, 0.0, 2.0]",
         ),
+        (
+            "[0.0, -1.0, 0.0, 0.05,",
+            "[0.0, -1.0, 0.0, 50.0,",
+            "expected T_BS: a sensor within 5 m of its body, found 50.0 m: millimetres or centimetres?",
+        ),
         ("T_BS:", "T_SB:", "expected T_BS: 16 numbers, found nothing"),
     ] {
         assert_eq!(edit(sheet, from, to), format!("{sheet}: {expected}"), "{from} -> {to}");
@@ -313,6 +318,81 @@ fn a_calibration_that_cannot_be_is_named() {
     assert_eq!(said, "mav0/imu0/sensor.yaml: expected gyroscope_noise_density: a number above 0, found -1.0");
 }
 
+const CHAIN: &str = "cam0:
+  T_cam_imu:
+  - [0.0, 1.0, 0.0, 0.06]
+  - [-1.0, 0.0, 0.0, 0.05]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.07, 0.0002, 1.8e-05]
+  distortion_model: radtan
+  intrinsics: [40.0, 41.0, 31.5, 23.5]
+  resolution: [64, 48]
+  rostopic: /cam0/image_raw
+  timeshift_cam_imu: 0.00125
+cam1:
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.11]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [-0.28, 0.07, 0.0002, 1.8e-05]
+  distortion_model: radtan
+  intrinsics: [40.0, 41.0, 31.5, 23.5]
+  resolution: [64, 48]
+";
+
+/// Kalibr's files describe the rig that the folder's own do.
+#[test]
+fn kalibrs_files_take_the_place_of_the_folders_own() {
+    let folder = tempfile::tempdir().unwrap();
+    whole(folder.path());
+    let own = Dataset::open(folder.path()).unwrap();
+    let (chain, unit) = (folder.path().join("camchain-imucam.yaml"), folder.path().join("imu.yaml"));
+    fs::write(&chain, CHAIN).unwrap();
+    fs::write(&unit, IMU.replace("rate_hz", "rostopic: /imu0\nupdate_rate")).unwrap();
+    for sensor in ["cam0", "cam1", "imu0"] {
+        fs::remove_file(folder.path().join(format!("mav0/{sensor}/sensor.yaml"))).unwrap();
+    }
+    let calibration = Calibration::kalibr(&[unit.clone(), chain.clone()]).unwrap();
+    let found = Dataset::open_as(folder.path(), Some(&calibration)).unwrap();
+    assert_eq!(found.frames[0].at, Timestamp::from_nanos(START + 1_250_000));
+    assert_eq!(
+        found.inertial.as_ref().map(|i| (i.unit, i.rate_hz)),
+        own.inertial.map(|i| (i.unit, i.rate_hz))
+    );
+    for (found, own) in found.cameras.iter().zip(&own.cameras) {
+        assert_eq!((found.lens, found.size_px), (own.lens, own.size_px));
+        let off = found.body_from_camera.inverse() * own.body_from_camera;
+        assert!(off.translation.vector.norm() < 1e-9 && off.rotation.angle() < 1e-9, "{off}");
+    }
+    assert_eq!(found.cameras.len(), 2);
+
+    let read = |text: &str| {
+        fs::write(&chain, text).unwrap();
+        let error = Calibration::kalibr(std::slice::from_ref(&chain)).map(|_| ()).unwrap_err().to_string();
+        error.replace(&format!("{}: expected ", chain.display()), "")
+    };
+    assert_eq!(
+        read(&CHAIN.replace("cam0:", "left:")),
+        "gyroscope_noise_density: a number above 0, found nothing"
+    );
+    assert_eq!(read(&CHAIN.replace(" 0.06]", "]")), "cam0.T_cam_imu: 4 numbers, found 3");
+    assert_eq!(
+        read(&CHAIN.replace("0.00125", "1250000")),
+        "cam0.timeshift_cam_imu: at most 10 s, found 1250000 s"
+    );
+    let model = "camera_model: pinhole or double-sphere (calibrate anew with pinhole-equi or ds), found omni";
+    assert_eq!(read(&CHAIN.replace("pinhole", "omni")), format!("cam0.{model}"));
+    assert_eq!(
+        Calibration::kalibr(std::slice::from_ref(&unit)).map(|_| ()).unwrap_err().to_string(),
+        format!("{}: expected a chain of cameras (cam0, cam1, …) of Kalibr, found none", unit.display())
+    );
+}
+
 #[test]
 fn pictures_that_are_none_are_named_when_they_are_wanted() {
     let folder = tempfile::tempdir().unwrap();
@@ -320,6 +400,19 @@ fn pictures_that_are_none_are_named_when_they_are_wanted() {
     fs::write(folder.path().join(first_picture()), b"no picture").unwrap();
     let said = Dataset::open(folder.path()).unwrap().pictures(0).unwrap_err().to_string();
     assert!(said.contains(".png: expected a PNG or JPEG picture, found"), "{said}");
+    let mut bytes = Vec::new();
+    let jpeg = image::ImageFormat::Jpeg;
+    let noise = image::GrayImage::from_fn(64, 48, |x, y| image::Luma([(x * 37 + y * 101) as u8]));
+    noise.write_to(&mut std::io::Cursor::new(&mut bytes), jpeg).unwrap();
+    let read = |bytes: &[u8]| {
+        fs::write(folder.path().join(first_picture()), bytes).unwrap();
+        Dataset::open(folder.path()).unwrap().pictures(0).map(|_| ()).map_err(|error| error.to_string())
+    };
+    assert_eq!(read(&bytes), Ok(()));
+    let said = read(&bytes[..bytes.len() / 2]).unwrap_err();
+    assert!(said.ends_with(".png: expected a whole JPEG picture, found one that is cut off"), "{said}");
+    bytes.extend([0; 9]);
+    assert_eq!(read(&bytes), Ok(()));
     image::GrayImage::new(32, 48).save(folder.path().join(first_picture())).unwrap();
     let said = Dataset::open(folder.path()).unwrap().pictures(0).unwrap_err().to_string();
     assert!(said.ends_with("expected 64x48 pixels, as the calibration says, found 32x48 pixels"), "{said}");

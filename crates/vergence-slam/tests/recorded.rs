@@ -6,7 +6,7 @@ mod support;
 
 use nalgebra::Vector3;
 use support::{Run, cpu_ms, recording, skip};
-use vergence_geom::Rigid;
+use vergence_geom::{Distortion, Lens, Rigid};
 use vergence_slam::dataset::{Dataset, Picture};
 use vergence_slam::evaluate::{Align, Evaluation, evaluate};
 use vergence_slam::follower::Follower;
@@ -90,12 +90,14 @@ fn turned(
     turns: [Vector3<f64>; 2],
     frames: usize,
     mode: Mode,
+    check_mounting: bool,
 ) -> Option<vergence_slam::Misfit> {
     let mut dataset = dataset.clone();
     for (camera, turn) in dataset.cameras.iter_mut().zip(turns) {
         camera.body_from_camera *= Rigid::rotation(turn);
     }
-    let mut playback = Playback::new(&dataset, mode, TrackerKnobs::default(), Params::default()).unwrap();
+    let params = Params { check_mounting, ..Params::default() };
+    let mut playback = Playback::new(&dataset, mode, TrackerKnobs::default(), params).unwrap();
     for frame in 0..frames {
         let loaded = Playback::load(&dataset, mode, frame).unwrap();
         match playback.follow(frame, &loaded) {
@@ -117,7 +119,8 @@ fn cameras_that_sit_otherwise_are_named() {
     let dataset = Dataset::open(&folder).unwrap();
     let none = Vector3::zeros();
     for turn in [Vector3::y() * 0.09, Vector3::x() * -0.3, Vector3::z() * std::f64::consts::PI] {
-        let said = turned(&dataset, [none, turn], 40, Mode::Stereo).expect("the second camera is turned");
+        let said =
+            turned(&dataset, [none, turn], 40, Mode::Stereo, true).expect("the second camera is turned");
         assert_eq!((said.camera, said.beside), (1, Some(0)));
         assert!((said.turned_rad - turn.norm()).abs() < 0.04, "{said} for {turn}");
     }
@@ -125,16 +128,27 @@ fn cameras_that_sit_otherwise_are_named() {
     for turn in
         [Vector3::y() * 0.5, Vector3::z() * std::f64::consts::FRAC_PI_2, Vector3::x() * std::f64::consts::PI]
     {
-        let said = turned(&dataset, [turn, none], 280, Mode::MonoInertial).expect("the camera is turned");
+        let said =
+            turned(&dataset, [turn, none], 280, Mode::MonoInertial, true).expect("the camera is turned");
         assert_eq!((said.camera, said.beside), (0, None));
         assert!((said.turned_rad - turn.norm()).abs() < 0.06, "{said} for {turn}");
     }
-    assert_eq!(turned(&dataset, [none, none], 60, Mode::StereoInertial), None);
+    assert_eq!(turned(&dataset, [none, none], 60, Mode::StereoInertial, true), None);
     // A baseline that points the wrong way: the calibrations of two cameras in each other's place.
     let mut swapped = dataset.clone();
     swapped.cameras.swap(0, 1);
-    let said = turned(&swapped, [none, none], 40, Mode::Stereo).expect("they are swapped");
+    let said = turned(&swapped, [none, none], 40, Mode::Stereo, true).expect("they are swapped");
     assert!(said.turned_rad > 1.5, "{said}");
+    // Transforms the wrong way round.
+    let mut inverted = dataset.clone();
+    inverted
+        .cameras
+        .iter_mut()
+        .for_each(|camera| camera.body_from_camera = camera.body_from_camera.inverse());
+    let said = turned(&inverted, [none, none], 40, Mode::Stereo, true).expect("they are inverted");
+    assert!(said.inverted && said.to_string().contains("inverted extrinsics"), "{said}");
+    // Who knows better can have it left alone.
+    assert_eq!(turned(&swapped, [none, none], 40, Mode::Stereo, false), None);
 }
 
 /// The beginning of the flight, with other pictures in a part of it; errors after alignment up to each of `until` frames, and the states.
@@ -169,6 +183,39 @@ fn disturbed(
         found.ate_max_m
     });
     (errors.collect(), estimates.iter().map(|e| e.state).collect())
+}
+
+/// The beginning of the flight with other lenses; states.
+fn behind(dataset: &Dataset, lens: impl Fn(&Lens) -> Lens, frames: usize) -> Vec<State> {
+    let mut dataset = dataset.clone();
+    dataset.cameras.iter_mut().for_each(|camera| camera.lens = lens(&camera.lens));
+    let (knobs, params) = (TrackerKnobs::default(), Params { check_mounting: false, ..Params::default() });
+    let mut playback = Playback::new(&dataset, Mode::StereoInertial, knobs, params).unwrap();
+    let follow = |frame| {
+        playback.follow(frame, &Playback::load(&dataset, Mode::StereoInertial, frame).unwrap()).unwrap().state
+    };
+    (0..frames).map(follow).collect()
+}
+
+#[test]
+fn a_lens_that_did_not_take_the_pictures_is_not_trusted() {
+    let Some(folder) = recording("half_real_v101_14s") else { return skip("no half-real flight") };
+    let dataset = Dataset::open(&folder).unwrap();
+    let none = Distortion::Radtan { radial: [0.0; 3], tangential: [0.0; 2] };
+    let of = |lens: &Lens, share: f64, distortion| {
+        let (focal, centre) = (lens.focal_px() * share, lens.centre_px());
+        Lens::new([focal.x, focal.y], [centre.x, centre.y], distortion).unwrap()
+    };
+    for (share, without) in [(1.0, true), (0.9, false)] {
+        let states =
+            behind(&dataset, |lens| of(lens, share, if without { none } else { lens.distortion() }), 60);
+        let tracked = states.iter().filter(|state| **state == State::Tracked).count();
+        println!("focal length times {share}, distortion left out: {without}: {tracked} of 60 tracked");
+        assert!(tracked < 30 && states[30..].iter().all(|state| *state == State::Disagreeing), "{states:?}");
+    }
+    let black = |_, _| Picture { width: 752, height: 480, pixels: vec![0; 752 * 480] };
+    let (_, states) = disturbed(&dataset, 40, 0..40, black, &[]);
+    assert!(states[5..].iter().all(|state| *state == State::FindingCorners), "{states:?}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `sensor.yaml`: what a sensor is and where it sits.
+//! `sensor.yaml`, and the files that Kalibr writes: what a sensor is and where it sits.
 
 use std::path::Path;
 
@@ -9,14 +9,18 @@ use yaml_rust2::{Yaml, YamlLoader};
 use crate::Error;
 use crate::trajectory::read_text;
 
-/// A parsed file.
+/// A parsed file, or one sensor's part of it.
 pub(super) struct Sheet<'a> {
     path: &'a Path,
+    /// What stands before each key in errors.
+    part: String,
     root: Yaml,
 }
 
 /// How far a rotation matrix may be from orthonormal; files have six digits and more.
 const ORTHONORMAL: f64 = 1e-3;
+/// A sensor that is farther from its body than this is one whose calibration is in another unit, m.
+const FARTHEST_M: f64 = 5.0;
 
 impl<'a> Sheet<'a> {
     pub fn read(path: &'a Path) -> Result<Self, Error> {
@@ -47,11 +51,23 @@ impl<'a> Sheet<'a> {
         if documents.len() != 1 {
             return Err(Error::file(path, "one YAML document", documents.len().to_string()));
         }
-        Ok(Self { path, root: documents.swap_remove(0) })
+        Ok(Self { path, part: String::new(), root: documents.swap_remove(0) })
+    }
+
+    /// One sensor's part.
+    pub fn part(&self, key: &str) -> Option<Self> {
+        let root = self.root[key].clone();
+        root.as_hash()?;
+        Some(Self { path: self.path, part: format!("{}{key}.", self.part), root })
+    }
+
+    /// Whether something stands there.
+    pub fn has(&self, key: &str) -> bool {
+        !self.root[key].is_badvalue()
     }
 
     fn wrong(&self, key: &str, expected: &str, found: impl std::fmt::Display) -> Error {
-        Error::file(self.path, format!("{key}: {expected}"), found.to_string())
+        Error::file(self.path, format!("{}{key}: {expected}", self.part), found.to_string())
     }
 
     fn text(&self, key: &str) -> Result<&str, Error> {
@@ -77,30 +93,48 @@ impl<'a> Sheet<'a> {
             .collect()
     }
 
+    /// A finite number.
+    pub fn number(&self, key: &str) -> Result<f64, Error> {
+        number(&self.root[key]).ok_or_else(|| self.wrong(key, "a number", show(&self.root[key])))
+    }
+
     /// `T_BS`: takes the sensor's coordinates to the body's.
     pub fn body_from_sensor(&self) -> Result<Rigid, Error> {
-        let data = self.numbers("T_BS", &self.root["T_BS"]["data"], &[16])?;
+        self.rigid("T_BS")
+    }
+
+    /// A rigid transform: 16 numbers row by row, four rows of four, or either of them under `data`.
+    pub fn rigid(&self, key: &str) -> Result<Rigid, Error> {
+        let value = &self.root[key];
+        let value = if value["data"].is_badvalue() { value } else { &value["data"] };
+        let data = match value.as_vec().map(Vec::as_slice) {
+            Some([a, b, c, d]) => {
+                let rows = [a, b, c, d].map(|row| self.numbers(key, row, &[4]));
+                rows.into_iter().collect::<Result<Vec<_>, _>>()?.concat()
+            }
+            _ => self.numbers(key, value, &[16])?,
+        };
         let linear = Matrix3::from_fn(|row, column| data[4 * row + column]);
         let off = (linear.transpose() * linear - Matrix3::identity()).norm();
         if off > ORTHONORMAL {
             return Err(self.wrong(
-                "T_BS",
+                key,
                 "a rotation (orthonormal columns)",
                 format!("columns that are off by {off:.3}"),
             ));
         }
         if linear.determinant() < 0.0 {
-            return Err(self.wrong("T_BS", "a rotation (determinant 1)", "a mirror (determinant -1)"));
+            return Err(self.wrong(key, "a rotation (determinant 1)", "a mirror (determinant -1)"));
         }
         if data[12..] != [0.0, 0.0, 0.0, 1.0] {
-            return Err(self.wrong("T_BS", "the last row 0, 0, 0, 1", format!("{:?}", &data[12..])));
+            return Err(self.wrong(key, "the last row 0, 0, 0, 1", format!("{:?}", &data[12..])));
         }
         let translation = Vector3::new(data[3], data[7], data[11]);
-        if translation.norm() > 100.0 {
+        if translation.norm() > FARTHEST_M {
             return Err(self.wrong(
-                "T_BS",
-                "a sensor within 100 m of its body",
-                format!("{:.1} m", translation.norm()),
+                key,
+                &format!("a sensor within {FARTHEST_M} m of its body"),
+                format!("{:.1} m: millimetres or centimetres?", translation.norm()),
             ));
         }
         // The nearest rotation: polar decomposition, exact to the last bit, as six digits are not.
@@ -115,6 +149,12 @@ impl<'a> Sheet<'a> {
 
     /// A camera's lens, size and place.
     pub fn camera(&self) -> Result<Camera, Error> {
+        let (lens, size_px) = self.lens()?;
+        Ok(Camera { lens, size_px, body_from_camera: self.body_from_sensor()? })
+    }
+
+    /// A camera's lens and the size of its pictures.
+    pub fn lens(&self) -> Result<(Lens, [u32; 2]), Error> {
         let size = self.numbers("resolution", &self.root["resolution"], &[2])?;
         let side = |x: f64| (x.fract() == 0.0 && (16.0..=16_384.0).contains(&x)).then_some(x as u32);
         let (Some(width), Some(height)) = (side(size[0]), side(size[1])) else {
@@ -131,7 +171,10 @@ impl<'a> Sheet<'a> {
                 let all = self.numbers("intrinsics", intrinsics, &[6])?;
                 (all[2..].to_vec(), Distortion::DoubleSphere { xi: all[0], alpha: all[1] })
             }
-            other => return Err(self.wrong("camera_model", "pinhole or double-sphere", other)),
+            other => {
+                let expected = "pinhole or double-sphere (calibrate anew with pinhole-equi or ds)";
+                return Err(self.wrong("camera_model", expected, other));
+            }
         };
         let (centre, size) = ([pinhole[2], pinhole[3]], [f64::from(width), f64::from(height)]);
         if (0..2).any(|k| !(0.0..size[k]).contains(&centre[k])) {
@@ -148,11 +191,13 @@ impl<'a> Sheet<'a> {
                 "one whose picture folds over in its middle",
             ));
         }
-        Ok(Camera { lens, size_px: [width, height], body_from_camera: self.body_from_sensor()? })
+        Ok((lens, [width, height]))
     }
 
     fn distortion(&self) -> Result<Distortion, Error> {
-        let key = "distortion_coefficients";
+        // Kalibr's word.
+        let kalibr = "distortion_coeffs";
+        let key = if self.has(kalibr) { kalibr } else { "distortion_coefficients" };
         let coefficients = |counts: &[usize]| self.numbers(key, &self.root[key], counts);
         match self.text("distortion_model")? {
             "radial-tangential" | "radtan" | "plumb_bob" => {

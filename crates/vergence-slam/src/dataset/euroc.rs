@@ -2,28 +2,36 @@
 
 use std::path::{Path, PathBuf};
 
+use vergence_geom::Rigid;
 use vergence_inertial::Recording;
 use vergence_inertial::preintegrate::NoiseDensities;
 use vergence_time::Timestamp;
 
 use super::calibration::Sheet;
+use super::kalibr::Calibration;
 use super::{Dataset, FrameFiles, InertialRecording, Rig, TOGETHER_NS, check_there};
 use crate::trajectory::{Trajectory, read_text};
 use crate::{Error, Inertial};
 
 pub(super) fn rig(rig: &Path) -> Result<Rig, Error> {
+    read_rig(rig).map(|(rig, _)| rig)
+}
+
+fn read_rig(rig: &Path) -> Result<(Rig, Rigid), Error> {
     rig_of(rig, &|name| {
         let path = rig.join(name);
-        // The first camera's is missed by its name.
-        (path.is_file() || name == "cam0/sensor.yaml").then(|| read_text(&path)).transpose()
+        // The first camera's is missed by its name, and so is that of a sensor that is there.
+        let there = name == "cam0/sensor.yaml" || path.parent().is_some_and(Path::is_dir);
+        there.then(|| read_text(&path)).transpose()
     })
 }
 
-/// The rig of the sheets that `sheet` has, by the name that they have in a folder.
+/// The rig of the sheets that `sheet` has, by the name that they have in a folder; and where the inertial unit sits on the body that they speak
+/// of.
 pub(super) fn rig_of(
     place: &Path,
     sheet: &dyn Fn(&str) -> Result<Option<String>, Error>,
-) -> Result<Rig, Error> {
+) -> Result<(Rig, Rigid), Error> {
     let mut cameras = Vec::new();
     for index in 0..MOST_CAMERAS {
         let name = format!("cam{index}/sensor.yaml");
@@ -31,18 +39,18 @@ pub(super) fn rig_of(
         cameras.push(Sheet::parse(&place.join(name), &text)?.camera()?);
     }
     let name = "imu0/sensor.yaml";
-    let Some(text) = sheet(name)? else { return Ok(Rig { cameras, inertial: None }) };
+    let Some(text) = sheet(name)? else { return Ok((Rig { cameras, inertial: None }, Rigid::identity())) };
     let path = place.join(name);
     let sheet = Sheet::parse(&path, &text)?;
     let body_from_imu = sheet.body_from_sensor()?;
     for camera in &mut cameras {
         camera.body_from_camera = body_from_imu.inverse() * camera.body_from_camera;
     }
-    Ok(Rig { cameras, inertial: Some((unit(&sheet)?, sheet.positive("rate_hz")?)) })
+    Ok((Rig { cameras, inertial: Some((unit(&sheet)?, sheet.positive("rate_hz")?)) }, body_from_imu))
 }
 
 /// The noise that a calibration says.
-fn unit(sheet: &Sheet) -> Result<Inertial, Error> {
+pub(super) fn unit(sheet: &Sheet) -> Result<Inertial, Error> {
     Ok(Inertial {
         noise: NoiseDensities {
             gyr_rad_s_rthz: sheet.positive("gyroscope_noise_density")?,
@@ -57,36 +65,30 @@ fn unit(sheet: &Sheet) -> Result<Inertial, Error> {
 /// More cameras than any rig has.
 const MOST_CAMERAS: usize = 64;
 
-pub(super) fn open(folder: &Path, rig: &Path) -> Result<Dataset, Error> {
-    let mut cameras = Vec::new();
+pub(super) fn open(folder: &Path, rig: &Path, given: Option<&Calibration>) -> Result<Dataset, Error> {
+    let (Rig { cameras, inertial }, body_from_imu) = match given {
+        Some(given) => (given.rig.clone(), Rigid::identity()),
+        None => read_rig(rig)?,
+    };
     let mut tables = Vec::new();
-    for index in 0.. {
-        let place = rig.join(format!("cam{index}"));
-        if !place.is_dir() {
-            break;
+    for index in 0..cameras.len() {
+        let mut table = pictures(&rig.join(format!("cam{index}")))?;
+        if let Some(given) = given {
+            table.iter_mut().for_each(|row| row.0 = row.0.saturating_add(given.unit_from_camera));
         }
-        cameras.push(Sheet::read(&place.join("sensor.yaml"))?.camera()?);
-        tables.push(pictures(&place)?);
+        tables.push(table);
+    }
+    let mut truth = read_truth(folder, rig)?;
+    for (_, pose) in truth.iter_mut().flat_map(|truth| &mut truth.poses) {
+        *pose *= body_from_imu;
     }
     let place = rig.join("imu0");
-    let mut truth = read_truth(folder, rig)?;
-    let mut inertial = None;
-    if place.is_dir() {
-        let sheet_path = place.join("sensor.yaml");
-        let sheet = Sheet::read(&sheet_path)?;
-        let body_from_imu = sheet.body_from_sensor()?;
-        for camera in &mut cameras {
-            camera.body_from_camera = body_from_imu.inverse() * camera.body_from_camera;
+    let inertial = match inertial.filter(|_| place.is_dir()) {
+        Some((unit, rate_hz)) => {
+            Some(InertialRecording { unit, rate_hz, samples: Recording::read(&place)?.samples })
         }
-        for (_, pose) in truth.iter_mut().flat_map(|truth| &mut truth.poses) {
-            *pose *= body_from_imu;
-        }
-        inertial = Some(InertialRecording {
-            unit: unit(&sheet)?,
-            rate_hz: sheet.positive("rate_hz")?,
-            samples: Recording::read(&place)?.samples,
-        });
-    }
+        None => None,
+    };
     let (frames, unpaired) = pair(&tables);
     if frames.is_empty() {
         let times: Vec<String> = tables.iter().map(|table| format!("{} pictures", table.len())).collect();

@@ -6,6 +6,7 @@
 
 mod calibration;
 mod euroc;
+mod kalibr;
 mod seven_scenes;
 mod stream;
 mod writer;
@@ -20,6 +21,7 @@ use vergence_time::{Span, Timestamp};
 use crate::Error;
 use crate::trajectory::Trajectory;
 
+pub use kalibr::Calibration;
 pub use stream::DatasetSource;
 pub use writer::Writer;
 
@@ -94,7 +96,7 @@ impl Rig {
     /// # Errors
     /// No camera, or a calibration that cannot be.
     pub fn from_sheets(place: &Path, sheets: &BTreeMap<String, String>) -> Result<Self, Error> {
-        let rig = euroc::rig_of(place, &|name| Ok(sheets.get(name).cloned()))?;
+        let (rig, _) = euroc::rig_of(place, &|name| Ok(sheets.get(name).cloned()))?;
         if rig.cameras.is_empty() {
             return Err(Error::file(place, "a calibration cam0/sensor.yaml", "none"));
         }
@@ -159,11 +161,22 @@ impl Dataset {
     /// The first fault that is found: no such folder, a missing or empty file, a table whose times do not grow, a calibration that
     /// cannot be.
     pub fn open(folder: &Path) -> Result<Self, Error> {
+        Self::open_as(folder, None)
+    }
+
+    /// As [`Self::open`], a EuRoC folder with another calibration than its own, which need not be there.
+    ///
+    /// # Errors
+    /// As [`Self::open`]; a calibration for a 7-Scenes folder.
+    pub fn open_as(folder: &Path, calibration: Option<&Calibration>) -> Result<Self, Error> {
         std::fs::read_dir(folder).map_err(Error::read(folder))?;
         if let Some(rig) =
             [folder.join("mav0"), folder.to_owned()].into_iter().find(|f| f.join("cam0").is_dir())
         {
-            return euroc::open(folder, &rig);
+            return euroc::open(folder, &rig, calibration);
+        }
+        if calibration.is_some() {
+            return Err(Error::file(folder, "a folder with mav0/cam0 (EuRoC) for a calibration", "none"));
         }
         if folder.join("frame-000000.pose.txt").is_file() || folder.join("camera-intrinsics.txt").is_file() {
             return seven_scenes::open(folder);
@@ -264,8 +277,17 @@ fn decode_bytes(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage, Error>
     limits.max_image_width = Some(16_384);
     limits.max_image_height = Some(16_384);
     limits.max_alloc = Some(512 << 20);
+    let whole = reader.format() != Some(image::ImageFormat::Jpeg) || ends_as_jpeg(bytes);
     reader.limits(limits);
-    reader.decode().map_err(wrong)
+    let decoded = reader.decode().map_err(wrong)?;
+    // The decoder fills with grey what is missing of a JPEG.
+    if whole { Ok(decoded) } else { Err(Error::file(path, "a whole JPEG picture", "one that is cut off")) }
+}
+
+/// Whether a JPEG has its end-of-image marker (ITU-T T.81, B.1.1.3); some writers pad after it.
+fn ends_as_jpeg(bytes: &[u8]) -> bool {
+    let padding = bytes.iter().rev().take_while(|byte| **byte == 0).count();
+    bytes[..bytes.len() - padding].ends_with(&[0xff, 0xd9])
 }
 
 fn check_size(path: &Path, found: [u32; 2], expected: [u32; 2]) -> Result<(), Error> {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -22,6 +23,7 @@ use vergence_slam::dataset::{Rig, Writer, rig};
 use vergence_slam::trajectory::Trajectory;
 use vergence_time::{Span, Timestamp};
 
+use crate::devices::interrupted;
 use crate::failure::Failure;
 use crate::{framing, loading};
 
@@ -159,7 +161,7 @@ impl Args {
         let recorded = Trajectory::read(&self.trajectory).map_err(|error| Failure::work(&error))?;
         let base = recorded.poses[0].0;
         let way = self.way(&recorded, base)?;
-        let frames = self.frames(&way)?;
+        let mut frames = self.frames(&way)?;
         let optics = cameras.iter().map(|camera| Optics::new(camera, self.oversampling));
         let optics: Vec<Optics> = optics.collect::<Result<_, _>>().map_err(|error| Failure::work(&error))?;
         let scene = Arc::new(loading::scene(&self.scene)?);
@@ -187,7 +189,8 @@ impl Args {
         } else {
             vec![0.0]
         };
-        for (n, &time) in frames.iter().enumerate() {
+        let (stop, mut drawn) = (interrupted()?, 0);
+        for (n, &time) in frames.iter().enumerate().take_while(|_| !stop.load(Ordering::Relaxed)) {
             for (camera, (optics, drawer)) in optics.iter().zip(&mut drawers).enumerate() {
                 let mut shot = optics.shot();
                 for offset in &exposure {
@@ -199,13 +202,18 @@ impl Args {
                 let pixels = film.develop(&shot, camera as u64, n as u64);
                 folder.picture(camera, absolute(time), &pixels).map_err(failed)?;
             }
+            drawn = n + 1;
             bar.inc(1);
         }
         bar.finish_and_clear();
+        if drawn < frames.len() {
+            eprintln!("vergence: ended after {drawn} of {} frames, as asked", frames.len());
+            frames.truncate(drawn);
+        }
         let truth = Trajectory { poses: frames.iter().map(|t| (absolute(*t), way.at(*t))).collect() };
         folder.finish(&imu, &truth).map_err(failed)?;
         let (seconds, metres) = (start.elapsed().as_secs_f64(), truth.length_m());
-        let per_frame = seconds * 1e3 / frames.len() as f64;
+        let per_frame = seconds * 1e3 / frames.len().max(1) as f64;
         if self.json {
             println!(
                 "{}",

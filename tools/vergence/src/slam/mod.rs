@@ -1,6 +1,7 @@
 //! `vergence slam`: where a rig is, and how well that is known; one file per verb.
 
 mod eval;
+pub mod knobs;
 pub mod run;
 
 use crate::failure::Failure;

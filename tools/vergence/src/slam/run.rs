@@ -1,33 +1,43 @@
 //! `vergence slam run`: follows a recording and writes where the rig was.
 
 use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use vergence_session::RigLog;
-use vergence_slam::dataset::Dataset;
+use vergence_slam::dataset::{Calibration, Dataset};
 use vergence_slam::follower::Follower;
 use vergence_slam::playback::{Mode, Playback, z_up};
 use vergence_slam::trajectory::Trajectory;
-use vergence_slam::{Estimate, Params, State};
-use vergence_vision::TrackerKnobs;
+use vergence_slam::{Estimate, State};
+use vergence_time::Timestamp;
 
+use crate::devices::interrupted;
 use crate::failure::Failure;
+use crate::slam::knobs::Config;
 use crate::timing;
 
 /// Follows a recording: a causal pose for each frame, in a world with gravity along −z
 ///
 /// The first pose comes with the first frame; poses are provisional until gravity and (with one camera) depth are known. The same
-/// recording gives the same bits, whatever the number of threads.
+/// recording gives the same bits, whatever the number of threads. Ctrl-C ends it: what was followed is written.
 #[derive(clap::Args)]
+#[command(after_long_help = Config::help())]
 pub struct Args {
-    /// A EuRoC (ASL) folder, a 7-Scenes folder, or a session log (.mcap) of a rig, as `log import euroc` writes it
+    /// A EuRoC (ASL) folder, a 7-Scenes folder (pictures in PNG or JPEG), or a session log (.mcap) of a rig, as `log import euroc` writes it
     dataset: PathBuf,
+    /// Kalibr's files in the place of the folder's sensor.yaml: camchain-imucam.yaml, and with an inertial unit its imu.yaml as a second
+    /// `--calibration`; the time shift between cameras and unit is taken from there, too
+    #[arg(long, value_name = "FILE.yaml")]
+    calibration: Vec<PathBuf>,
     /// Which sensors take part
     #[arg(long, value_enum, default_value_t = Sensors::StereoInertial)]
     mode: Sensors,
-    /// Knobs of the tracker and the estimator (TOML); what is missing there keeps its default
+    /// Knobs of the tracker and the estimator (TOML); what is missing there keeps its default, as below
     #[arg(long, value_name = "F.toml")]
     config: Option<PathBuf>,
     /// The poses, TUM format: of the inertial unit in a EuRoC folder, of the camera in a 7-Scenes folder
@@ -73,64 +83,6 @@ impl Sensors {
     }
 }
 
-/// A file of knobs.
-#[derive(Clone, Debug, Default, serde::Deserialize, serde::Serialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Config {
-    /// Pictures are made smaller by this whole number first; pixels below are those of the smaller pictures.
-    pub reduce: Option<usize>,
-    /// Side of the cells that hold a point each, pixels.
-    pub cell_px: Option<usize>,
-    /// Points in a cell.
-    pub per_cell: Option<usize>,
-    /// Levels of the pyramids.
-    pub levels: Option<usize>,
-    /// Side of the patches, pixels.
-    pub window_px: Option<usize>,
-    /// FAST's threshold, grey levels.
-    pub threshold: Option<u8>,
-    /// Standard deviation of a tracked corner, pixels.
-    pub pixel_px: Option<f64>,
-    /// Factor on the inertial unit's noise.
-    pub noise_factor: Option<f64>,
-    /// Latest frames that are kept whole.
-    pub states: Option<usize>,
-    /// Keyframes.
-    pub keyframes: Option<usize>,
-    /// Steps of the minimisation per frame.
-    pub iterations: Option<usize>,
-    /// Share of known points below which a frame becomes a keyframe.
-    pub known_share: Option<f64>,
-}
-
-impl Config {
-    fn read(path: &Path) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| Failure::Call(format!("{}: {error}", path.display())))?;
-        toml::from_str(&text).map_err(|error| Failure::Call(format!("{}: {error}", path.display())))
-    }
-
-    /// The tracker's and the estimator's knobs.
-    pub fn resolve(&self) -> Result<(TrackerKnobs, Params), Failure> {
-        let (mut knobs, mut params) = (TrackerKnobs::default(), Params::default());
-        let set = |into: &mut usize, value: Option<usize>| *into = value.unwrap_or(*into);
-        set(&mut knobs.cell_px, self.cell_px);
-        set(&mut knobs.per_cell, self.per_cell);
-        set(&mut knobs.flow.levels, self.levels);
-        set(&mut knobs.flow.window_px, self.window_px);
-        knobs.threshold = self.threshold.unwrap_or(knobs.threshold);
-        knobs.least_threshold = knobs.least_threshold.min(knobs.threshold);
-        set(&mut params.states, self.states);
-        set(&mut params.keyframes, self.keyframes);
-        set(&mut params.iterations, self.iterations);
-        params.pixel_px = self.pixel_px.unwrap_or(params.pixel_px);
-        params.noise_factor = self.noise_factor.unwrap_or(params.noise_factor);
-        params.known_share = self.known_share.unwrap_or(params.known_share);
-        params.checked().map_err(|error| Failure::call(&error))?;
-        Ok((knobs, params))
-    }
-}
-
 /// What a run gave.
 pub struct Outcome {
     /// One for each frame.
@@ -158,6 +110,23 @@ impl Outcome {
         table
     }
 
+    /// What a user should know before believing the poses.
+    fn doubts(&self) -> Vec<String> {
+        let frames = self.estimates.len();
+        let disagreeing = self.count(|state| state == State::Disagreeing);
+        let blind = self.count(|state| state == State::FindingCorners);
+        let say = |count: usize, state: State| format!("{count} of {frames} frames: {}", state.says());
+        let mut all = Vec::new();
+        // A moment is no reason to doubt the whole.
+        if disagreeing * 20 > frames {
+            all.push(say(disagreeing, State::Disagreeing));
+        }
+        if blind * 2 > frames {
+            all.push(say(blind, State::FindingCorners));
+        }
+        all
+    }
+
     fn count(&self, is: impl Fn(State) -> bool) -> usize {
         self.estimates.iter().filter(|e| is(e.state)).count()
     }
@@ -171,13 +140,14 @@ impl Outcome {
     }
 }
 
-/// Plays a recording to its end.
+/// Plays a recording to its end, or until `stop`.
 pub fn play(
     dataset: &Dataset,
     mode: Mode,
     config: &Config,
     threads: u32,
     bar: &ProgressBar,
+    stop: &AtomicBool,
 ) -> Result<Outcome, Failure> {
     let (knobs, params) = config.resolve()?;
     let failed = |error: vergence_slam::Error| Failure::work(&error);
@@ -195,7 +165,7 @@ pub fn play(
         Ok(())
     };
     if threads < 2 {
-        for frame in 0..frames {
+        for frame in (0..frames).take_while(|_| !stop.load(Ordering::Relaxed)) {
             follow(frame, &Playback::load(dataset, mode, frame).map_err(failed)?)?;
         }
     } else {
@@ -209,7 +179,7 @@ pub fn play(
                     }
                 }
             });
-            for (frame, loaded) in take.iter().enumerate() {
+            for (frame, loaded) in take.iter().enumerate().take_while(|_| !stop.load(Ordering::Relaxed)) {
                 follow(frame, &loaded.map_err(failed)?)?;
             }
             Ok(())
@@ -219,7 +189,13 @@ pub fn play(
 }
 
 /// Plays a log to its end; says how many frames it had.
-fn play_log(log: &RigLog, mode: Mode, config: &Config, bar: &ProgressBar) -> Result<(Outcome, u64), Failure> {
+fn play_log(
+    log: &RigLog,
+    mode: Mode,
+    config: &Config,
+    bar: &ProgressBar,
+    stop: &AtomicBool,
+) -> Result<(Outcome, u64), Failure> {
     let (knobs, params) = config.resolve()?;
     let reduce = config.reduce.unwrap_or(1);
     let follower = Follower::new(log.path(), &log.rig, mode, knobs, params, reduce)
@@ -229,7 +205,7 @@ fn play_log(log: &RigLog, mode: Mode, config: &Config, bar: &ProgressBar) -> Res
         .follow(follower, |follower| {
             loop {
                 let before = timing::thread_cpu_ns();
-                let Some(estimate) = follower.follow()? else { return Ok(true) };
+                let Some(estimate) = follower.follow()? else { return Ok(!stop.load(Ordering::Relaxed)) };
                 outcome.cpu_ms.push((timing::thread_cpu_ns() - before) * 1e-6);
                 outcome.estimates.push(estimate);
                 bar.inc(1);
@@ -238,6 +214,45 @@ fn play_log(log: &RigLog, mode: Mode, config: &Config, bar: &ProgressBar) -> Res
         .map_err(|error| Failure::work(&error))?;
     let frames = outcome.estimates.len() as u64 + follower.incomplete();
     Ok((outcome, frames))
+}
+
+/// What of a recording takes no part, and where it has holes.
+fn left_out(dataset: &Dataset, mode: Mode) -> Vec<String> {
+    const READINGS_S: f64 = 0.1;
+    let mut all = Vec::new();
+    if dataset.unpaired > 0 && mode.stereo() {
+        all.push(format!(
+            "{} pictures have no partner within 1 ms in another camera: left out",
+            dataset.unpaired
+        ));
+    }
+    let mut holes = |what: &str, times: &mut dyn Iterator<Item = Timestamp>, longest_s: f64| {
+        let Some(first) = times.next() else { return };
+        let (mut before, mut found, mut longest) = (first, 0, (0.0, first));
+        for time in times {
+            let gap = time.since(before).map_or(0.0, |span| span.as_secs_f64());
+            if gap > longest_s {
+                found += 1;
+                longest = if gap > longest.0 { (gap, before) } else { longest };
+            }
+            before = time;
+        }
+        if found > 0 {
+            let after = longest.1.since(first).map_or(0.0, |span| span.as_secs_f64());
+            all.push(format!(
+                "{what}: {found} gaps, the longest of {:.2} s, {after:.2} s after the first",
+                longest.0
+            ));
+        }
+    };
+    let frames = dataset.frames.len().saturating_sub(1).max(1) as f64;
+    let span = dataset.frames.first().zip(dataset.frames.last()).and_then(|(a, b)| b.at.since(a.at));
+    let period = span.map_or(0.0, |span| span.as_secs_f64()) / frames;
+    holes("pictures", &mut dataset.frames.iter().map(|frame| frame.at), (5.0 * period).max(READINGS_S));
+    if let Some(inertial) = dataset.inertial.as_ref().filter(|_| mode.inertial()) {
+        holes("readings", &mut inertial.samples.iter().map(|sample| sample.0), READINGS_S);
+    }
+    all
 }
 
 /// Largest memory of this process so far, MB; 0 where the system does not say.
@@ -249,6 +264,39 @@ fn peak_rss_mb() -> f64 {
 }
 
 impl Args {
+    /// The files that are written, opened before any work is done: none of them the other one, nor one of the recording's.
+    fn outputs(&self) -> Result<(BufWriter<File>, Option<File>), Failure> {
+        let read = [std::slice::from_ref(&self.dataset), &self.calibration, self.config.as_slice()].concat();
+        Failure::unless_own("--output", &self.output, &read)?;
+        for (option, path) in [("--output", Some(&self.output)), ("--states", self.states.as_ref())] {
+            let Some(path) = path else { continue };
+            let inside = path.canonicalize().ok().zip(self.dataset.canonicalize().ok());
+            if inside.is_some_and(|(file, folder)| file.starts_with(folder)) {
+                let path = path.display();
+                return Err(Failure::Call(format!(
+                    "{option}: expected a file beside the recording's, found {path}, one of them"
+                )));
+            }
+        }
+        if self.states.as_ref().is_some_and(|states| states == &self.output) {
+            let path = self.output.display();
+            return Err(Failure::Call(format!(
+                "--states: expected another file than --output, found {path}"
+            )));
+        }
+        let create = |path: &PathBuf| File::create(path).map_err(|error| Failure::unwritable(path, &error));
+        let poses = BufWriter::new(create(&self.output)?);
+        if let Some(states) = &self.states {
+            // The same file under another name.
+            Failure::unless_own(
+                "--states",
+                states,
+                &[&read[..], std::slice::from_ref(&self.output)].concat(),
+            )?;
+        }
+        Ok((poses, self.states.as_ref().map(create).transpose()?))
+    }
+
     /// Follows the recording, writes the poses, says how it went.
     pub fn run(self) -> Result<(), Failure> {
         let config = self.config.as_deref().map_or(Ok(Config::default()), Config::read)?;
@@ -265,29 +313,47 @@ impl Args {
             }
             bar
         };
+        let stop = interrupted()?;
+        let (mut poses, mut states) = self.outputs()?;
+        let mut warnings = Vec::new();
         let (outcome, frames) = if RigLog::is_log(&self.dataset) {
-            Failure::unless_own("--output", &self.output, std::slice::from_ref(&self.dataset))?;
-            let log = RigLog::open(&self.dataset).map_err(|error| Failure::work(&error))?;
+            if !self.calibration.is_empty() {
+                let name = self.dataset.display();
+                return Err(Failure::Call(format!(
+                    "{name}: expected a folder for --calibration, found a log"
+                )));
+            }
+            let mut log = RigLog::open(&self.dataset).map_err(|error| Failure::work(&error))?;
+            config.apply(log.rig.inertial.as_mut().map(|(unit, _)| unit));
             let bar = bar(None);
-            let played = play_log(&log, mode, &config, &bar)?;
+            let played = play_log(&log, mode, &config, &bar, &stop)?;
             bar.finish_and_clear();
             played
         } else {
-            let dataset = Dataset::open(&self.dataset).map_err(|error| Failure::work(&error))?;
+            let calibration = Some(&self.calibration).filter(|files| !files.is_empty());
+            let calibration = calibration.map(|files| Calibration::kalibr(files)).transpose();
+            let calibration = calibration.map_err(|error| Failure::work(&error))?;
+            let dataset = Dataset::open_as(&self.dataset, calibration.as_ref());
+            let mut dataset = dataset.map_err(|error| Failure::work(&error))?;
+            config.apply(dataset.inertial.as_mut().map(|recording| &mut recording.unit));
+            warnings.extend(left_out(&dataset, mode));
             let bar = bar(Some(dataset.frames.len() as u64));
-            let outcome = play(&dataset, mode, &config, self.threads, &bar)?;
+            let outcome = play(&dataset, mode, &config, self.threads, &bar, &stop)?;
             bar.finish_and_clear();
             (outcome, dataset.frames.len() as u64)
         };
-        let file = std::fs::File::create(&self.output)
-            .map_err(|error| Failure::Call(format!("{}: {error}", self.output.display())))?;
-        outcome
-            .trajectory()
-            .write_tum(std::io::BufWriter::new(file))
-            .map_err(|error| Failure::Work(format!("{}: {error}", self.output.display())))?;
-        if let Some(path) = &self.states {
-            std::fs::write(path, outcome.states())
-                .map_err(|error| Failure::Call(format!("{}: {error}", path.display())))?;
+        let failed = |path: &Path, error: std::io::Error| Failure::unwritable(path, &error);
+        outcome.trajectory().write_tum(&mut poses).map_err(|error| failed(&self.output, error))?;
+        poses.flush().map_err(|error| failed(&self.output, error))?;
+        if let Some((file, path)) = states.as_mut().zip(self.states.as_deref()) {
+            file.write_all(outcome.states().as_bytes()).map_err(|error| failed(path, error))?;
+        }
+        if stop.load(Ordering::Relaxed) {
+            warnings.push(format!("ended after {} of {frames} frames, as asked", outcome.estimates.len()));
+        }
+        warnings.extend(outcome.doubts());
+        for warning in &warnings {
+            eprintln!("vergence: {warning}");
         }
         let provisional = outcome.count(|s| !matches!(s, State::Tracked | State::Coasting | State::Lost));
         let (lost, coasting) = (outcome.count(|s| s == State::Lost), outcome.count(|s| s == State::Coasting));
@@ -304,7 +370,9 @@ impl Args {
                 "keyframes": keyframes,
                 "cpu_ms_per_frame": { "median": median, "p95": p95 },
                 "peak_rss_mb": peak_rss_mb(),
+                "disagreeing_frames": outcome.count(|s| s == State::Disagreeing),
                 "state": last.says(),
+                "warnings": warnings,
             });
             println!("{object}");
         } else {

@@ -1,6 +1,7 @@
 //! `vergence trade slam`: what odometry costs per frame and how far it errs, knob by knob, over a recording with a truth.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use vergence_report::Page;
@@ -8,8 +9,10 @@ use vergence_slam::dataset::Dataset;
 use vergence_slam::evaluate::{Align, evaluate};
 use vergence_trade::{Knob, Limit, Measurement, Scale, Setting, Trade, Value};
 
+use crate::devices::interrupted;
 use crate::failure::Failure;
-use crate::slam::run::{Config, Sensors, play};
+use crate::slam::knobs::Config;
+use crate::slam::run::{Sensors, play};
 
 /// Odometry: CPU time per frame against error
 #[derive(clap::Args)]
@@ -110,12 +113,16 @@ impl SlamTrade {
         )
         .map_err(|error| Failure::work(&error))?;
         let plan = plan(self.quick);
+        let stop = interrupted()?;
         let bar = ProgressBar::new((plan.len() * dataset.frames.len()) as u64);
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta}") {
             bar.set_style(style);
         }
         for setting in &plan {
-            let outcome = play(&dataset, mode, &config(setting), 2, &bar)?;
+            let outcome = play(&dataset, mode, &config(setting), 2, &bar, &stop)?;
+            if stop.load(Ordering::Relaxed) {
+                break;
+            }
             let found = evaluate(&outcome.trajectory(), &truth, align).map_err(|e| Failure::work(&e))?;
             let names = KNOBS.iter().map(|k| k.name.to_owned());
             let values = setting.iter().map(|p| Value::Count(*p as u32));
@@ -128,6 +135,13 @@ impl SlamTrade {
                 .map_err(|error| Failure::work(&error))?;
         }
         bar.finish_and_clear();
+        if trade.measurements().len() < plan.len() {
+            let (done, all) = (trade.measurements().len(), plan.len());
+            eprintln!("vergence: ended after {done} of {all} settings, as asked");
+            if done == 0 {
+                return Ok(());
+            }
+        }
         let limit = self.budget.map(Limit::Cost).or(self.error.map(Limit::Error));
         let choice = limit.map(|limit| trade.choose(0, 0, limit)).transpose();
         let chosen = choice.as_ref().ok().copied().flatten();
