@@ -80,7 +80,10 @@ fn text_and_logs_give_the_same_orientations_and_a_score() {
     log(&folder.join("in.mcap"), &["/imu"]);
     std::fs::write(folder.join("p.toml"), "latency_s = 0.002\n").expect("a file");
     for (input, out) in [("in.csv", "text.csv"), ("in.mcap", "log.csv")] {
-        let told = object(&imu(&["run", input, "--config", "p.toml", "--json", "-o", out], folder));
+        let told = object(&imu(
+            &["run", input, "--unit", "unknown", "--config", "p.toml", "--json", "-o", out],
+            folder,
+        ));
         assert_eq!(told["samples"], 5000);
         assert!(told["rejected"].as_object().is_some_and(serde_json::Map::is_empty), "{told}");
         assert!(told["ns_per_sample"].as_f64().is_some_and(|ns| ns > 0.0));

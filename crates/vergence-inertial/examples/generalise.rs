@@ -11,13 +11,13 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 
 use vergence_inertial::filter::{self, Axes, Filter, Kind, Limits, Stream, Vergence, VergenceParams};
-use vergence_inertial::{Recording, score};
+use vergence_inertial::{Recording, Unit, score};
 
 /// A knob that is turned.
 type Knob = (&'static str, fn(&mut VergenceParams) -> &mut f64);
 
 /// All but the limits and what says how long a rest is: those are no matter of tuning.
-const KNOBS: [Knob; 19] = [
+const KNOBS: [Knob; 20] = [
     ("latency_s", |p| &mut p.latency_s),
     ("mag_lag_s", |p| &mut p.mag_lag_s),
     ("tau_acc_s", |p| &mut p.tau_acc_s),
@@ -25,6 +25,7 @@ const KNOBS: [Knob; 19] = [
     ("bias_sigma_deg_s", |p| &mut p.bias_sigma_deg_s),
     ("bias_wander_deg_s", |p| &mut p.bias_wander_deg_s),
     ("factor_sigma", |p| &mut p.factor_sigma),
+    ("factor_doubt", |p| &mut p.factor_doubt),
     ("tilt_noise_deg_s", |p| &mut p.tilt_noise_deg_s),
     ("tilt_noise_before_rest_deg_s", |p| &mut p.tilt_noise_before_rest_deg_s),
     ("tilt_outlier_deg_s", |p| &mut p.tilt_outlier_deg_s),
@@ -49,7 +50,7 @@ const DEFAULT: Position = [0; KNOBS.len()];
 const FURTHEST: i8 = 4;
 
 fn params(position: &Position) -> VergenceParams {
-    let mut params = VergenceParams::default();
+    let mut params = Unit::Broad.params();
     for ((_, knob), step) in KNOBS.iter().zip(position) {
         *knob(&mut params) *= 2f64.powf(0.5 * f64::from(*step));
     }

@@ -17,7 +17,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use vergence_inertial::filter::{self, Axes, Filter, Kind};
 use vergence_inertial::model::{ImuModel, Triad};
 use vergence_inertial::motion::{Earth, Kinematics, Motion, Wander, WanderParams};
-use vergence_inertial::{Dice, Recording, Truth, score};
+use vergence_inertial::{Dice, Recording, Truth, Unit, score};
 use vergence_sense::Imu;
 use vergence_time::{Span, Timestamp};
 
@@ -33,8 +33,10 @@ fn figures(recording: &Recording, config: Option<&Path>) -> Result<[Figures; 2],
     let of = |kind: Kind| -> Result<Figures, Box<dyn Error>> {
         let scored = |axes| {
             let mut filter: Box<dyn Filter> = match config {
-                Some(file) if kind == Kind::Vergence => kind.configured(axes, period, file)?,
-                _ => kind.filter(axes, period),
+                Some(file) if kind == Kind::Vergence => {
+                    kind.configured(recording.unit, axes, period, file)?
+                }
+                _ => kind.of(recording.unit, axes, period),
             };
             let orientations = filter::run(filter.as_mut(), &recording.samples);
             let times = recording.samples.iter().map(|(at, _)| *at);
@@ -277,7 +279,8 @@ fn simulated(index: usize, seed: u64) -> Result<Recording, Box<dyn Error>> {
     let field = Earth::MID_LATITUDE;
     let lagging = Lagging(&motion, 4_000_000);
     let iron = Dipole { at_m: direction(dice, 800) * 1.2, moment: direction(dice, 801) * 8.0 };
-    let mut recording = Recording::default();
+    // The simulated lag is that of the recorded unit.
+    let mut recording = Recording { unit: Unit::Broad, ..Recording::default() };
     for sample in model.record(&lagging, &field, Span::from_secs_f64(moving_s + 50.0).ok_or("too long")?) {
         let at = sample.arrived;
         let t = at.as_nanos() as f64 * 1e-9;

@@ -14,8 +14,10 @@ mod reader;
 mod score;
 pub mod spline;
 mod still;
+mod unit;
 
 pub use dice::Dice;
 pub use error::Error;
 pub use reader::{RATES_HZ, Recording, Truth, read_orientations, read_tum_orientations, write_orientations};
 pub use score::{Pair, Score, score};
+pub use unit::Unit;

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use nalgebra::{UnitQuaternion, Vector3};
-use vergence_inertial::filter::{Axes, Kind};
+use vergence_inertial::filter::{Axes, Filter, Kind, Limits, Stream, Vergence, VergenceParams};
 use vergence_inertial::motion::{Earth, Motion, Wander, WanderParams};
 use vergence_inertial::score;
 use vergence_sense::Imu;
@@ -12,8 +12,6 @@ const RATE_HZ: usize = 200;
 const PERIOD: Span = Span::from_millis(5);
 const REST_S: f64 = 15.0;
 const LENGTH_S: f64 = 75.0;
-/// What `vergence` takes the sensors to lag behind by.
-const LAG_NS: i64 = 4_000_000;
 
 fn at(sample: usize) -> Timestamp {
     Timestamp::from_nanos((sample * 1_000_000_000 / RATE_HZ) as i64)
@@ -21,13 +19,18 @@ fn at(sample: usize) -> Timestamp {
 
 /// A unit that rests and then moves as hands do, and its true orientations.
 fn moved() -> Vec<(Timestamp, Imu, UnitQuaternion<f64>)> {
+    moved_as(5, WanderParams::default())
+}
+
+fn moved_as(seed: u64, params: WanderParams) -> Vec<(Timestamp, Imu, UnitQuaternion<f64>)> {
     let rests_s = vec![(-10.0, REST_S)];
-    let motion = Wander::new(5, &WanderParams { rests_s, ..WanderParams::default() }).unwrap();
+    let motion = Wander::new(seed, &WanderParams { rests_s, ..params }).unwrap();
     let earth = Earth::MID_LATITUDE;
     let bias = Vector3::new(0.3, -0.2, 0.25).map(f64::to_radians);
     (0..(LENGTH_S as usize * RATE_HZ))
         .map(|i| {
-            let seen = motion.at(Timestamp::from_nanos(at(i).as_nanos() - LAG_NS));
+            // Half a period: the rate is one of an instant, and is taken for the mean over its step.
+            let seen = motion.at(Timestamp::from_nanos(at(i).as_nanos() - PERIOD.as_nanos() / 2));
             let imu = Imu {
                 gyr_rad_s: seen.rate_in_body_rad_s + bias,
                 acc_m_s2: seen.specific_force_m_s2(&earth),
@@ -40,8 +43,15 @@ fn moved() -> Vec<(Timestamp, Imu, UnitQuaternion<f64>)> {
 
 /// 9D total, and 6D total after aligning the start, degrees.
 fn scored(kind: Kind, samples: &[(Timestamp, Imu, UnitQuaternion<f64>)]) -> [f64; 2] {
+    scored_with(samples, &|axes| kind.filter(axes, PERIOD))
+}
+
+fn scored_with(
+    samples: &[(Timestamp, Imu, UnitQuaternion<f64>)],
+    made: &dyn Fn(Axes) -> Box<dyn Filter>,
+) -> [f64; 2] {
     [Axes::Nine, Axes::Six].map(|axes| {
-        let mut filter = kind.filter(axes, PERIOD);
+        let mut filter = made(axes);
         let mut pairs = Vec::new();
         for (at, imu, truth) in samples {
             filter.update(*at, imu);
@@ -178,4 +188,65 @@ fn an_even_turn_followed_by_motion_is_given_up() {
     }
     let inclination = score(&pairs).unwrap().inclination_rad.to_degrees();
     assert!(inclination < 2.0, "{inclination}");
+}
+
+/// What a perfect gyroscope may lose by its factors being learned, degrees, mean over the draws.
+const LEARNED_DEG: f64 = 0.1;
+
+#[test]
+fn learning_factors_takes_nothing_from_a_perfect_gyroscope() {
+    let fast = WanderParams {
+        tilt_rad: 2.0,
+        turn_rad: 2.0,
+        way_m: 0.1,
+        frequency_hz: 0.8,
+        ..WanderParams::default()
+    };
+    let draws: Vec<_> = (0..6).map(|seed| moved_as(seed, fast.clone())).collect();
+    let mean = |params: VergenceParams| {
+        let period_s = PERIOD.as_secs_f64();
+        let all = draws.iter().map(|samples| {
+            scored_with(samples, &|axes| {
+                Box::new(Stream::new(Vergence::new(params, period_s), axes, PERIOD, Limits::default()))
+            })
+        });
+        all.fold([0.0; 2], |sum, found| [sum[0] + found[0] / 6.0, sum[1] + found[1] / 6.0])
+    };
+    let learned = mean(VergenceParams::default());
+    let not = mean(VergenceParams { factor_sigma: 0.0, ..VergenceParams::default() });
+    let believed = mean(VergenceParams { factor_doubt: 0.0, ..VergenceParams::default() });
+    println!(
+        "9D total, 6D start: factors learned {learned:.3?}, not {not:.3?}, without doubt {believed:.3?}"
+    );
+    assert!(
+        learned.iter().zip(not).all(|(with, without)| *with < without + LEARNED_DEG),
+        "{learned:?} {not:?}"
+    );
+}
+
+#[test]
+fn a_unit_that_averages_may_be_slow() {
+    let fast = moved();
+    for every in [2, 4, 8] {
+        let mean = |part: &[(Timestamp, Imu, UnitQuaternion<f64>)], of: &dyn Fn(&Imu) -> Vector3<f64>| {
+            part.iter().map(|(_, imu, _)| of(imu)).sum::<Vector3<f64>>() / every as f64
+        };
+        let slow: Vec<_> = fast
+            .chunks_exact(every)
+            .map(|part| {
+                let imu = Imu {
+                    gyr_rad_s: mean(part, &|imu| imu.gyr_rad_s),
+                    acc_m_s2: mean(part, &|imu| imu.acc_m_s2),
+                    mag_ut: Some(mean(part, &|imu| imu.mag_ut.unwrap())),
+                };
+                let (at, _, truth) = part[every - 1];
+                (at, imu, truth)
+            })
+            .collect();
+        let period = Span::from_nanos(PERIOD.as_nanos() * every as i64);
+        let [vqf, ours] =
+            [Kind::Vqf, Kind::Vergence].map(|kind| scored_with(&slow, &|axes| kind.filter(axes, period)));
+        println!("means at {} Hz: vqf {vqf:.3?} vergence {ours:.3?}", RATE_HZ / every);
+        assert!(ours.iter().zip(vqf).all(|(ours, vqf)| *ours < vqf + 0.2), "{every}: {ours:?} {vqf:?}");
+    }
 }

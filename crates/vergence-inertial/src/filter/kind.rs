@@ -3,10 +3,10 @@ use std::path::Path;
 use vergence_time::Span;
 
 use super::{
-    Complementary, Core, Filter, Integration, Limits, Madgwick, Mahony, Params, Stream, Vergence, Vqf,
-    VqfParams, read_params,
+    Complementary, Core, Filter, Integration, Limits, Madgwick, Mahony, Params, Stream, Vergence,
+    VergenceParams, Vqf, VqfParams, read_params, read_unit_params,
 };
-use crate::Error;
+use crate::{Error, Unit};
 
 /// Which sensors are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,17 +66,28 @@ impl Kind {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// A filter of this kind at its start, for samples every `period`.
+    /// A filter of this kind at its start, for samples every `period` of a unit of which nothing is known.
     pub fn filter(self, axes: Axes, period: Span) -> Box<dyn Filter> {
-        // Without a file nothing can be wrong in it.
-        self.made(axes, period, &mut Defaults).unwrap_or_else(|never| match never {})
+        self.of(Unit::Unknown, axes, period)
     }
 
-    /// The same with parameters from the file `config`; what it does not name has its default.
+    /// The same for a unit that is known.
+    pub fn of(self, unit: Unit, axes: Axes, period: Span) -> Box<dyn Filter> {
+        // Without a file nothing can be wrong in it.
+        self.made(axes, period, &mut Defaults(unit)).unwrap_or_else(|never| match never {})
+    }
+
+    /// The same with parameters from the file `config`; what it does not name is as for that unit.
     ///
     /// # Errors
     /// Those of [`read_params`]; [`Error::Mismatch`] for a filter without parameters.
-    pub fn configured(self, axes: Axes, period: Span, config: &Path) -> Result<Box<dyn Filter>, Error> {
+    pub fn configured(
+        self,
+        unit: Unit,
+        axes: Axes,
+        period: Span,
+        config: &Path,
+    ) -> Result<Box<dyn Filter>, Error> {
         if self == Self::Integration {
             return Err(Error::Mismatch {
                 path: config.to_owned(),
@@ -84,7 +95,7 @@ impl Kind {
                 found: self.name().to_owned(),
             });
         }
-        self.made(axes, period, &mut FromFile(config))
+        self.made(axes, period, &mut FromFile(config, unit))
     }
 
     fn made<S: Source>(self, axes: Axes, period: Span, from: &mut S) -> Result<Box<dyn Filter>, S::Error> {
@@ -107,7 +118,7 @@ impl Kind {
                 stream(Vqf::new(params, period_s), axes, period)
             }
             Self::Vqf => stream(Vqf::new(from.params()?, period_s), axes, period),
-            Self::Vergence => stream(Vergence::new(from.params()?, period_s), axes, period),
+            Self::Vergence => stream(Vergence::new(from.vergence()?, period_s), axes, period),
         })
     }
 }
@@ -116,22 +127,32 @@ impl Kind {
 trait Source {
     type Error;
     fn params<P: Params + Default>(&mut self) -> Result<P, Self::Error>;
+    /// Of the one filter that heeds the unit.
+    fn vergence(&mut self) -> Result<VergenceParams, Self::Error>;
 }
 
-struct Defaults;
+struct Defaults(Unit);
 
 impl Source for Defaults {
     type Error = std::convert::Infallible;
     fn params<P: Params + Default>(&mut self) -> Result<P, Self::Error> {
         Ok(P::default())
     }
+
+    fn vergence(&mut self) -> Result<VergenceParams, Self::Error> {
+        Ok(self.0.params())
+    }
 }
 
-struct FromFile<'a>(&'a Path);
+struct FromFile<'a>(&'a Path, Unit);
 
 impl Source for FromFile<'_> {
     type Error = Error;
     fn params<P: Params + Default>(&mut self) -> Result<P, Error> {
         read_params(self.0)
+    }
+
+    fn vergence(&mut self) -> Result<VergenceParams, Error> {
+        read_unit_params(self.0, self.1)
     }
 }

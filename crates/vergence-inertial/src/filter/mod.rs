@@ -30,7 +30,7 @@ pub use madgwick::{Madgwick, MadgwickParams};
 pub use mahony::{Mahony, MahonyParams};
 pub use offline::offline;
 pub use saved::Saved;
-pub use settings::{Params, read_params};
+pub use settings::{Params, read_params, read_unit_params};
 pub use vergence::{Vergence, VergenceCoefficients, VergenceParams, VergenceState};
 pub use vqf::{Vqf, VqfCoefficients, VqfParams, VqfState};
 
@@ -45,7 +45,8 @@ use crate::Error;
 pub struct Clean {
     /// Time since the sample before, seconds; the nominal period for the first one. Positive.
     pub step_s: f64,
-    /// Angular rate as the sensor says it at the end of the step, radians per second; over a bridged gap the mean.
+    /// Angular rate, radians per second: what the sensor says at the end of the step, be that of the instant or a mean
+    /// ([`VergenceParams::gyr_averaged`]); over a bridged gap the mean.
     pub gyr_rad_s: Vector3<f64>,
     /// Specific force, metres per second squared, longer than zero.
     pub acc_m_s2: Option<Vector3<f64>>,

@@ -38,14 +38,7 @@ pub fn offline(
     for (at, imu) in samples {
         learning.update(*at, imu);
     }
-    // Seen backwards, a reading that lags is ahead; and a step is turned by the reading at its other end.
-    let mirrored = VergenceParams {
-        latency_s: -params.latency_s,
-        acc_lag_s: -params.acc_lag_s,
-        mag_lag_s: -params.mag_lag_s,
-        ..params
-    };
-    let mut backwards = stream(learning.core().learned(mirrored, true));
+    let mut backwards = stream(learning.core().learned(params.mirrored(period.as_secs_f64()), true));
     let turned = samples.iter().rev().map(|(at, imu)| {
         let nanos = last.0.as_nanos().saturating_sub(at.as_nanos());
         (Timestamp::from_nanos(nanos), Imu { gyr_rad_s: -imu.gyr_rad_s, ..*imu })

@@ -1,9 +1,10 @@
 //! Parameters of filters from files: TOML with one key for each knob, named and in units as in the struct.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::{ComplementaryParams, MadgwickParams, MahonyParams, VergenceParams, VqfParams};
-use crate::Error;
+use crate::{Error, Unit};
 
 /// The widest value of any knob; beyond it the mathematics would leave the range of numbers.
 const WIDEST: f64 = 1e6;
@@ -53,6 +54,7 @@ params!(VqfParams {
 });
 params!(VergenceParams {
     latency_s,
+    gyr_averaged,
     acc_lag_s,
     mag_lag_s,
     tau_acc_s,
@@ -61,6 +63,7 @@ params!(VergenceParams {
     bias_limit_deg_s,
     bias_wander_deg_s,
     factor_sigma,
+    factor_doubt,
     tilt_noise_deg_s,
     tilt_noise_before_rest_deg_s,
     tilt_outlier_deg_s,
@@ -87,15 +90,40 @@ pub fn read_params<P: Params>(path: &Path) -> Result<P, Error> {
     let params: P = vergence_config::read(path)?;
     for (name, value) in params.numbers() {
         let signed = name.ends_with("lag_s") || name.starts_with("latency");
-        let zero = ["sigma", "jump", "per_acc", "ki", "min_s"].iter().any(|part| name.contains(part));
+        // A share, not a size.
+        let widest = if name == "gyr_averaged" { 1.0 } else { WIDEST };
+        let zero = ["averaged", "doubt", "sigma", "jump", "per_acc", "ki", "min_s"]
+            .iter()
+            .any(|part| name.contains(part));
         let least = if signed { -WIDEST } else { 0.0 };
-        if !(least..=WIDEST).contains(&value) || (value == 0.0 && !zero && !signed) {
+        if !(least..=widest).contains(&value) || (value == 0.0 && !zero && !signed) {
             let above = if zero || signed { "from" } else { "above" };
             return Err(Error::Mismatch {
                 path: path.to_owned(),
-                expected: format!("{name} {above} {least} and at most {WIDEST}"),
+                expected: format!("{name} {above} {least} and at most {widest}"),
                 found: value.to_string(),
             });
+        }
+    }
+    Ok(params)
+}
+
+/// Parameters of `vergence` for a unit; where the file names a part of the timing, that counts.
+///
+/// # Errors
+/// Those of [`read_params`].
+pub fn read_unit_params(path: &Path, unit: Unit) -> Result<VergenceParams, Error> {
+    let mut params: VergenceParams = read_params(path)?;
+    let named: BTreeMap<String, serde::de::IgnoredAny> = vergence_config::read(path)?;
+    let known = unit.params();
+    for (name, value, of_unit) in [
+        ("latency_s", &mut params.latency_s, known.latency_s),
+        ("gyr_averaged", &mut params.gyr_averaged, known.gyr_averaged),
+        ("acc_lag_s", &mut params.acc_lag_s, known.acc_lag_s),
+        ("mag_lag_s", &mut params.mag_lag_s, known.mag_lag_s),
+    ] {
+        if !named.contains_key(name) {
+            *value = of_unit;
         }
     }
     Ok(params)
@@ -106,9 +134,13 @@ mod tests {
     use super::*;
 
     fn read(text: &str) -> Result<VergenceParams, String> {
+        read_of(text, Unit::Unknown)
+    }
+
+    fn read_of(text: &str, unit: Unit) -> Result<VergenceParams, String> {
         let path = std::env::temp_dir().join(format!("vergence-params-{}.toml", std::process::id()));
         std::fs::write(&path, text).unwrap();
-        let result = read_params(&path).map_err(|error| error.to_string());
+        let result = read_unit_params(&path, unit).map_err(|error| error.to_string());
         std::fs::remove_file(&path).unwrap();
         result
     }
@@ -118,6 +150,13 @@ mod tests {
         let default = VergenceParams::default();
         assert_eq!(read(""), Ok(default));
         assert_eq!(read("latency_s = -0.001\n"), Ok(VergenceParams { latency_s: -0.001, ..default }));
+        let broad = Unit::Broad.params();
+        assert_eq!(read_of("", Unit::Broad), Ok(broad));
+        assert_eq!(
+            read_of("latency_s = 0\ngyr_averaged = 1", Unit::Broad),
+            Ok(VergenceParams { latency_s: 0.0, gyr_averaged: 1.0, ..broad })
+        );
+        assert!(read("gyr_averaged = 1.5").unwrap_err().contains("at most 1"));
         let error = read("tau = 3.0\n").unwrap_err();
         assert!(error.contains(".toml:1:1: unknown field `tau`"), "{error}");
         for text in ["tau_acc_s = 0.0", "tau_acc_s = nan", "tau_acc_s = -1.0", "tau_acc_s = inf"] {

@@ -7,7 +7,7 @@ use vergence_time::{Span, Timestamp};
 
 use super::table::Table;
 use super::{Recording, Truth};
-use crate::Error;
+use crate::{Error, Unit};
 
 /// Columns that must be there, in any order.
 const NEEDED: [&str; 7] = ["t_s", "gyr_x", "gyr_y", "gyr_z", "acc_x", "acc_y", "acc_z"];
@@ -74,7 +74,7 @@ pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
     let mag = places(table, MAG)?;
     let truth = places(table, TRUTH)?;
     let movement = places(table, ["movement"])?;
-    let mut recording = Recording::default();
+    let mut recording = Recording { unit: Unit::Broad, ..Recording::default() };
     let mut values = Vec::new();
     let mut last = None;
     while table.row(&mut values, |_| {})? {

@@ -11,7 +11,7 @@ use nalgebra::UnitQuaternion;
 use vergence_sense::Imu;
 use vergence_time::{Span, Timestamp};
 
-use crate::{Error, Pair};
+use crate::{Error, Pair, Unit};
 use table::Table;
 
 pub use broad::{read_orientations, write_orientations};
@@ -24,6 +24,8 @@ pub struct Recording {
     pub samples: Vec<(Timestamp, Imu)>,
     /// Truth for each sample, or nothing for none of them.
     pub truth: Vec<Truth>,
+    /// The unit that recorded: that of BROAD where the table is of BROAD's style, else unknown.
+    pub unit: Unit,
 }
 
 /// What the cameras saw at one sample.

@@ -8,7 +8,7 @@ mod twin;
 use std::path::PathBuf;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use vergence_inertial::filter::{self, Axes, Kind, VergenceParams, VqfParams};
+use vergence_inertial::filter::{self, Axes, Kind, VqfParams};
 use vergence_inertial::{Recording, Score, score};
 use vergence_sense::Imu;
 use vergence_time::Timestamp;
@@ -52,7 +52,7 @@ fn scored(recording: &Recording, orientations: Vec<UnitQuaternion<f64>>) -> Scor
 }
 
 fn run(kind: Kind, axes: Axes, recording: &Recording) -> Score {
-    let mut filter = kind.filter(axes, recording.period().unwrap());
+    let mut filter = kind.of(recording.unit, axes, recording.period().unwrap());
     scored(recording, filter::run(filter.as_mut(), &recording.samples))
 }
 
@@ -128,8 +128,7 @@ fn vergence_beats_vqf_on_average_and_loses_on_no_trial() {
 fn the_offline_variant_beats_the_causal_one_of_vqf_and_the_bar() {
     let Some(trials) = trials() else { return };
     let found = mean(trials.iter().map(|(name, trial)| {
-        let all =
-            filter::offline(VergenceParams::default(), Axes::Nine, trial.period().unwrap(), &trial.samples);
+        let all = filter::offline(trial.unit.params(), Axes::Nine, trial.period().unwrap(), &trial.samples);
         let found = nine(&scored(trial, all));
         println!("{name:44} offline {found:.2?}");
         found
@@ -219,7 +218,7 @@ type Copying<'a> = &'a dyn Fn(&Recording) -> Recording;
 fn resampled(recording: &Recording, rate_hz: f64) -> Recording {
     let period_ns = (1e9 / rate_hz).round() as i64;
     let last = recording.samples.last().unwrap().0.as_nanos();
-    let mut other = Recording::default();
+    let mut other = Recording { unit: recording.unit, ..Recording::default() };
     let mut right = 1;
     for at in (0..).map(|i| i * period_ns).take_while(|at| *at <= last) {
         while recording.samples[right].0.as_nanos() < at {
@@ -291,7 +290,7 @@ fn turned_resampled_and_biased_copies_score_alike() {
     let averaged = |recording: &Recording| {
         const PARTS: usize = 16;
         let fine = resampled(recording, 100.0 * PARTS as f64);
-        let mut other = Recording::default();
+        let mut other = Recording { unit: recording.unit, ..Recording::default() };
         for middle in (PARTS..fine.samples.len() - PARTS).step_by(PARTS) {
             let around = &fine.samples[middle - PARTS / 2..middle + PARTS / 2];
             let sum = |of: &dyn Fn(&Imu) -> Vector3<f64>| {

@@ -45,7 +45,7 @@ impl Args {
         let truth = self.truth.as_deref().map(read_tum_orientations).transpose().map_err(failed)?;
         let mut scores = Vec::new();
         for kind in Kind::ALL {
-            let estimates = filter::run(kind.filter(axes, period).as_mut(), &recording.samples);
+            let estimates = filter::run(kind.of(recording.unit, axes, period).as_mut(), &recording.samples);
             let times = recording.samples.iter().map(|(at, _)| *at);
             let estimate: Vec<_> = times.zip(estimates).collect();
             let pairs = match &truth {

@@ -51,7 +51,7 @@ impl Args {
     pub fn run(self) -> Result<(), Failure> {
         let recording = Recording::read(&self.input).map_err(|error| Failure::work(&error))?;
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
-        let mut filter = self.filter.0.filter(Axes::Six, period);
+        let mut filter = self.filter.0.of(recording.unit, Axes::Six, period);
         let track = Track::of(&recording, filter.as_mut());
         let chosen = self.method.as_deref().and_then(Method::named);
         let methods = Method::ALL.into_iter().filter(|method| chosen.is_none_or(|chosen| chosen == *method));

@@ -9,15 +9,16 @@ use clap::ValueEnum;
 use serde_json::json;
 use vergence_inertial::calibrate::Calibration;
 use vergence_inertial::filter::{self, Axes, Kind};
-use vergence_inertial::write_orientations;
+use vergence_inertial::{Unit, write_orientations};
 
 use super::input;
 use crate::failure::Failure;
 
 /// Runs an orientation filter over a recording and writes an orientation for each sample
 ///
-/// The filter vergence takes out a lag of the sensors of 4 ms, as common units have it. For a unit without a low-pass give a --config
-/// with latency_s = 0, acc_lag_s = 0 and mag_lag_s = 0; for another lag, that one as latency_s.
+/// How late readings are is a property of the unit that they do not tell. A table of BROAD's style is taken for one of BROAD's unit,
+/// whose readings are 4 ms late, anything else for one of a unit that is not late; what was taken is printed. For a table of a unit of
+/// your own give --unit unknown, or its lag in a --config (latency_s, acc_lag_s, mag_lag_s, gyr_averaged).
 #[derive(clap::Args)]
 pub struct Args {
     /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz), EuRoC's imu0 (its folder or data.csv),
@@ -38,6 +39,10 @@ pub struct Args {
     /// Parameters of the filter: TOML, one key for each knob as in the documentation of vergence-inertial
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
+    /// The unit that recorded, for the filter vergence: broad (readings 4 ms late) or unknown (not late). Default: broad for a table
+    /// of BROAD's style, else unknown
+    #[arg(long, value_parser = Unit::ALL.map(Unit::name))]
+    unit: Option<String>,
     /// What `imu calibrate` found of this unit: taken out of each reading before the filter sees it
     #[arg(long, value_name = "FILE.toml")]
     calibration: Option<PathBuf>,
@@ -80,6 +85,10 @@ impl Args {
         let calibration = self.calibration.as_deref().map(Calibration::read).transpose();
         let calibration = calibration.map_err(|error| Failure::call(&error))?;
         let mut recording = input::read(&self.input, self.stream.as_deref())?;
+        if let Some(unit) = self.unit.as_deref().and_then(Unit::from_name) {
+            recording.unit = unit;
+        }
+        let unit = recording.unit;
         if let Some(calibration) = calibration {
             recording.samples.iter_mut().for_each(|(_, imu)| *imu = calibration.correct(imu));
         }
@@ -93,8 +102,8 @@ impl Args {
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
         let called = |error: vergence_inertial::Error| Failure::call(&error);
         let mut filter = match &self.config {
-            Some(config) => self.filter.0.configured(axes, period, config).map_err(called)?,
-            None => self.filter.0.filter(axes, period),
+            Some(config) => self.filter.0.configured(unit, axes, period, config).map_err(called)?,
+            None => self.filter.0.of(unit, axes, period),
         };
         if self.offline && self.filter.0 != Kind::Vergence {
             return Err(Failure::Call(format!(
@@ -104,10 +113,13 @@ impl Args {
         }
         let started = Instant::now();
         let orientations = if self.offline {
-            let params = self.config.as_deref().map(filter::read_params).transpose().map_err(called)?;
+            let params = match &self.config {
+                Some(config) => filter::read_unit_params(config, unit).map_err(called)?,
+                None => unit.params(),
+            };
             // What is rejected does not depend on the direction: the causal filter counts it.
             filter::run(filter.as_mut(), &recording.samples);
-            filter::offline(params.unwrap_or_default(), axes, period, &recording.samples)
+            filter::offline(params, axes, period, &recording.samples)
         } else {
             filter::run(filter.as_mut(), &recording.samples)
         };
@@ -133,10 +145,19 @@ impl Args {
         if self.json {
             println!(
                 "{}",
-                json!({ "samples": recording.samples.len(), "ns_per_sample": ns_per_sample, "rejected": rejected })
+                json!({
+                    "samples": recording.samples.len(),
+                    "ns_per_sample": ns_per_sample,
+                    "unit": unit.name(),
+                    "rejected": rejected,
+                })
             );
         } else {
-            println!("{} samples, {ns_per_sample:.0} ns each", recording.samples.len());
+            println!(
+                "{} samples, {ns_per_sample:.0} ns each, unit: {}",
+                recording.samples.len(),
+                unit.name()
+            );
             for (reason, count) in &rejected {
                 println!("rejected: {reason} in {count} samples");
             }

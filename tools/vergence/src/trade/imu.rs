@@ -10,7 +10,7 @@ use vergence_inertial::filter::{
     self, Axes, Complementary, ComplementaryParams, Filter, Kind, Limits, Madgwick, MadgwickParams, Mahony,
     MahonyParams, Stream, Vergence, VergenceParams, Vqf, VqfParams,
 };
-use vergence_inertial::{Recording, score};
+use vergence_inertial::{Recording, Unit, score};
 use vergence_report::Page;
 use vergence_time::Span;
 use vergence_trade::{Knob, Limit, Measurement, Scale, Setting, Trade, Value};
@@ -73,8 +73,8 @@ fn degrees(argument: &str) -> Result<f64, String> {
     Ok(angle.radians().to_degrees())
 }
 
-/// Makes a filter for some sensors and a period between samples.
-type Make = Box<dyn Fn(Axes, Span) -> Box<dyn Filter>>;
+/// Makes a filter for a unit, some of its sensors and a period between samples.
+type Make = Box<dyn Fn(Unit, Axes, Span) -> Box<dyn Filter>>;
 
 /// A filter at one position of its main knob.
 struct Candidate {
@@ -120,15 +120,21 @@ fn candidates(quick: bool) -> Vec<Candidate> {
             }
             Kind::Vergence => {
                 for window_s in [0.05, 0.1, 0.2, 0.4] {
-                    let params = VergenceParams { window_s, ..VergenceParams::default() };
-                    let make = move |period: Span| Vergence::new(params, period.as_secs_f64());
-                    add(format!("window {window_s} s"), stream(make));
+                    let make: Make = Box::new(move |unit, axes, period| {
+                        let params = VergenceParams { window_s, ..unit.params() };
+                        let core = Vergence::new(params, period.as_secs_f64());
+                        Box::new(Stream::new(core, axes, period, Limits::default()))
+                    });
+                    add(format!("window {window_s} s"), make);
                 }
             }
             Kind::Integration => {}
         }
         if turned.is_empty() {
-            turned.push(("default".to_owned(), Box::new(move |axes, period| kind.filter(axes, period))));
+            turned.push((
+                "default".to_owned(),
+                Box::new(move |unit, axes, period| kind.of(unit, axes, period)),
+            ));
         }
         all.extend(turned.into_iter().map(|(position, make)| Candidate { kind, position, make }));
     }
@@ -136,7 +142,7 @@ fn candidates(quick: bool) -> Vec<Candidate> {
 }
 
 fn stream<C: filter::Core + 'static>(core: impl Fn(Span) -> C + 'static) -> Make {
-    Box::new(move |axes, period| Box::new(Stream::new(core(period), axes, period, Limits::default())))
+    Box::new(move |_, axes, period| Box::new(Stream::new(core(period), axes, period, Limits::default())))
 }
 
 /// What is measured of each candidate with each set of sensors: time, then the errors in the order of [`Metric`].
@@ -152,7 +158,7 @@ fn measure(
         let period =
             recording.period().ok_or_else(|| Failure::Work(format!("{}: too short", path.display())))?;
         for _ in 0..REPEATS {
-            let mut filter = (candidate.make)(axes, period);
+            let mut filter = (candidate.make)(recording.unit, axes, period);
             let started = thread_cpu_ns();
             for (at, imu) in &recording.samples {
                 filter.update(*at, imu);
@@ -160,7 +166,8 @@ fn measure(
             }
             least_ns = least_ns.min((thread_cpu_ns() - started) / recording.samples.len() as f64);
         }
-        let estimates = filter::run((candidate.make)(axes, period).as_mut(), &recording.samples);
+        let estimates =
+            filter::run((candidate.make)(recording.unit, axes, period).as_mut(), &recording.samples);
         let estimate: Vec<_> = recording.samples.iter().map(|(at, _)| *at).zip(estimates).collect();
         let pairs = recording.scored(&estimate, path).map_err(|error| Failure::work(&error))?;
         let score = score(&pairs).ok_or_else(|| {

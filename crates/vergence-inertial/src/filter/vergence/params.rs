@@ -5,12 +5,15 @@ use crate::filter::low_pass::LowPassCoefficients;
 #[serde(default, deny_unknown_fields)]
 pub struct VergenceParams {
     /// How far readings lag behind the motion (low-pass in the sensor, transport), seconds; 0 to 0.02. The orientation given
-    /// is turned on by as much. Wrong by 1 ms: 0.3° at 300°/s. Default 0.00405, what the recorded units have; their eight
-    /// recordings agree to 0.2 ms.
+    /// is turned on by as much. Wrong by 1 ms: 0.3° at 300°/s. A property of the unit that its samples do not tell
+    /// ([`Unit`](crate::Unit)). Default 0.
     pub latency_s: f64,
-    /// How much later the accelerometer reads than the gyroscope, seconds; −0.01 to 0.01. Default 0.0004.
+    /// How much of its step a rate is the mean of; 0 (what the sensor says at the end of the step) to 1 (all of it). What is not,
+    /// is half of the step ahead; of steps longer than 10 ms no more than 5 ms: who gives less than 100 Hz averages. Default 1.
+    pub gyr_averaged: f64,
+    /// How much later the accelerometer reads than the gyroscope, seconds; −0.01 to 0.01. Default 0.
     pub acc_lag_s: f64,
-    /// How much later the magnetometer reads than the gyroscope, seconds; −0.02 to 0.02. Default 0.005.
+    /// How much later the magnetometer reads than the gyroscope, seconds; −0.02 to 0.02. Default 0.
     pub mag_lag_s: f64,
     /// Time constant of the accelerometer's low-pass in the inertial frame, seconds; 1 to 10. Small: acceleration of the
     /// sensor tilts the estimate. Large: gyroscope errors do. Default 3.
@@ -28,6 +31,10 @@ pub struct VergenceParams {
     /// Standard deviation of the gyroscope's scale and cross-axis factors at the start; 0 to 0.03 (0: not estimated). One for
     /// all nine, so that the frame of the sensor does not matter. Default 0.006.
     pub factor_sigma: f64,
+    /// How much is doubted of what was learned about these factors: of their square `s` with variance `v` the share
+    /// `s / (s + doubt v)` of the factors is applied; 0 to 2. Large: a good gyroscope is left alone, a bad one corrected late.
+    /// Default 0.25.
+    pub factor_doubt: f64,
     /// Noise of the rate seen in the tilt's correction in motion, degrees per second over one second; 0.1 to 3. Small: learns
     /// fast and follows acceleration. Default 0.35.
     pub tilt_noise_deg_s: f64,
@@ -70,15 +77,17 @@ pub struct VergenceParams {
 impl Default for VergenceParams {
     fn default() -> Self {
         Self {
-            latency_s: 0.00405,
-            acc_lag_s: 0.0004,
-            mag_lag_s: 0.005,
+            latency_s: 0.0,
+            gyr_averaged: 1.0,
+            acc_lag_s: 0.0,
+            mag_lag_s: 0.0,
             tau_acc_s: 3.0,
             window_s: 0.1,
             bias_sigma_deg_s: 1.0,
             bias_limit_deg_s: 2.0,
             bias_wander_deg_s: 0.08,
             factor_sigma: 0.006,
+            factor_doubt: 0.25,
             tilt_noise_deg_s: 0.35,
             tilt_noise_before_rest_deg_s: 1.5,
             tilt_outlier_deg_s: 1.0,
@@ -94,6 +103,28 @@ impl Default for VergenceParams {
             jump_ut: 2.5,
             jump_offset: 5.0,
             jump_field: 0.3,
+        }
+    }
+}
+
+/// The longest step that a rate of an instant may stand for, seconds.
+const LONGEST_INSTANT_S: f64 = 0.01;
+
+impl VergenceParams {
+    /// From the orientation that the steps end with to now, seconds: a step is turned by the newest rate, half a period ahead of the
+    /// mean of its two ends.
+    fn ahead_s(&self, period_s: f64) -> f64 {
+        self.latency_s - 0.5 * (1.0 - self.gyr_averaged) * period_s.min(LONGEST_INSTANT_S)
+    }
+
+    /// The same unit seen backwards in time: a reading that lags is ahead, and a step is turned by the reading at its other end.
+    pub(crate) fn mirrored(&self, period_s: f64) -> Self {
+        Self {
+            latency_s: -self.ahead_s(period_s) - period_s,
+            gyr_averaged: 1.0,
+            acc_lag_s: -self.acc_lag_s,
+            mag_lag_s: -self.mag_lag_s,
+            ..*self
         }
     }
 }
@@ -141,8 +172,7 @@ impl VergenceCoefficients {
         let window_s = window * period_s;
         Self {
             period_s,
-            // A step is turned by the newest rate, half a period ahead of the mean of the two ends.
-            ahead_s: params.latency_s - 0.5 * period_s,
+            ahead_s: params.ahead_s(period_s),
             acc_lag_s: params.acc_lag_s + 0.5 * period_s,
             mag_lag_s: params.mag_lag_s + 0.5 * period_s,
             window,

@@ -36,13 +36,16 @@ pub struct Rates {
     centre: Vector3<f64>,
     /// The identity minus `M`, as it is applied.
     correction: Matrix3<f64>,
+    /// The share of the factors that is applied: the part of what was learned that is not its own deviation. A good gyroscope has
+    /// none, and what is learned of one is chance.
+    share: f64,
     rows: LowPass<24>,
     seen: LowPass<2>,
     /// Seconds for which motion has contradicted a centre that is not zero.
     doubted_s: f64,
 }
 
-saved!(Rates { estimate, centre, correction, rows, seen, doubted_s });
+saved!(Rates { estimate, centre, correction, share, rows, seen, doubted_s });
 
 /// What one window of samples says.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -109,6 +112,7 @@ impl Rates {
             estimate: Estimate { x: SVector::zeros(), p: nalgebra::SMatrix::from_diagonal(&p) },
             centre: Vector3::zeros(),
             correction: Matrix3::identity(),
+            share: 0.0,
             rows: LowPass::default(),
             seen: LowPass::default(),
             doubted_s: 0.0,
@@ -158,7 +162,9 @@ impl Rates {
     ) {
         let rows = window.rows(c.window);
         let e = &mut self.estimate;
-        let expected = |axis: usize| rows.fixed_rows::<N>(N * axis).dot(&e.x);
+        let mut applied = e.x;
+        applied.fixed_rows_mut::<9>(3).scale_mut(self.share);
+        let expected = |axis: usize| rows.fixed_rows::<N>(N * axis).dot(&applied);
         let seen = self.seen.step(&Vector2::new(expected(0), expected(1)), &c.windows);
         let rows = self.rows.step(&rows, &c.windows);
         for i in 0..3 {
@@ -205,7 +211,12 @@ impl Rates {
             let (centre, limit) = if i < 3 { (self.centre[i], c.bias_limit) } else { (0.0, FACTOR_LIMIT) };
             e.x[i] = e.x[i].clamp(centre - limit, centre + limit);
         }
-        self.correction = Matrix3::identity() - Matrix3::from_row_slice(e.x.fixed_rows::<9>(3).as_slice());
+        let factors = Matrix3::from_row_slice(e.x.fixed_rows::<9>(3).as_slice());
+        let size = factors.norm_squared();
+        let variance: f64 = (3..N).map(|i| e.p[(i, i)]).sum();
+        // The sums of all nine: the frame of the sensor must not matter.
+        self.share = if size > 0.0 { size / (size + params.factor_doubt * variance) } else { 0.0 };
+        self.correction = Matrix3::identity() - factors * self.share;
     }
 
     /// Starts the low-passes anew and lets the bias have wandered for `gap_s`.
