@@ -84,7 +84,7 @@ fn experiment(task: Task, params: &Params) -> Analysis {
                     start: Some(start.into()),
                     end: end.into(),
                     mt_s: pressed.since(now).map_or(0.0, Span::as_secs_f64),
-                    error: (end - centre_m).norm() > 0.5 * width_m,
+                    error: Some((end - centre_m).norm() > 0.5 * width_m),
                     ..Trial::default()
                 });
                 (now, from) = (pressed, centre_m);

@@ -107,7 +107,7 @@ fn guiard_2011_has_its_table() {
     let path = data.join("hci/guiard2011-strategies/final_fitts_JG_060323.csv");
     let imported = read(Tool::Csv, &path, &Maps::named("guiard2011").unwrap().unwrap());
     let analysis = analyse(&imported.data, &imported.conventions);
-    assert_eq!((analysis.rows.len(), analysis.trials(), analysis.participants()), (322, 5298, 13));
+    assert_eq!((analysis.rows.len(), analysis.counts.trials, analysis.counts.participants), (322, 5298, 13));
     let stability = analysis.stability.as_ref().unwrap();
     let expected = [
         (0.694, 9.417, 3.863),
@@ -142,7 +142,7 @@ fn vive_and_mouse_in_three_planes() {
         analyse(&all.data, &all.conventions)
     };
     let vive = analysis("vive");
-    assert_eq!((vive.rows.len(), vive.trials()), (54, 594));
+    assert_eq!((vive.rows.len(), vive.counts.trials), (54, 594));
     near("MT", vive.mean(|row| row.ends.mt_s), 1.550, 6e-4);
     near("errors", vive.error_rate(), 0.069, 6e-4);
     near("IDe", vive.mean(|row| row.ends.x.ide), 3.77, 6e-3);

@@ -177,9 +177,12 @@ fn chromium_opens(here: &Path, html: &str) {
           const table = document.querySelector('table'), head = table.tHead.rows[0].cells[2].querySelector('button');
           head.click(); const up = values(table); head.click(); const down = values(table);
           const ascends = list => list.every((v, i) => i === 0 || list[i - 1] <= v);
-          const sorted = ascends(up) && ascends([...down].reverse()) && up.length > 3;
+          const sorted = ascends(up) && ascends([...down].reverse()) && up.length > 2 && table.tFoot.rows.length === 1;
           const wide = document.documentElement.scrollWidth <= innerWidth;
-          const told = {plots: document.querySelectorAll('figure svg').length, sorted, wide, trouble,
+          const shown = [...document.querySelectorAll('figure svg')].map(svg => svg.getBoundingClientRect())
+            .filter(rect => rect.width > 0);
+          const whole = shown.every(rect => rect.left >= 0 && rect.right <= innerWidth);
+          const told = {plots: shown.length, whole, sorted, wide, trouble,
             loads: performance.getEntriesByType('resource').length};
           const place = document.createElement('pre'); place.id = 'probe'; place.textContent = JSON.stringify(told);
           document.body.append(place);
@@ -205,6 +208,7 @@ fn chromium_opens(here: &Path, html: &str) {
             told.and_then(|text| serde_json::from_str(text).ok()).unwrap_or_else(|| panic!("{what}: {log}"));
         println!("report at {size} px: {told}");
         assert!(told["plots"].as_u64() >= Some(2) && told["sorted"] == true, "{told}");
+        assert_eq!(told["whole"], true, "a plot is cut off: {told}");
         assert!(told["trouble"].as_array().is_some_and(Vec::is_empty) && told["loads"] == 0, "{told}");
         assert!(!log.contains("CONSOLE"), "{log}");
         assert_eq!(told["wide"], true, "the page is wider than the screen: {told}");

@@ -7,7 +7,7 @@ import sys
 
 sequences = {}
 for row in csv.DictReader(open(sys.argv[1], newline="")):
-    if row["practice"] == "1" or row["outlier"] == "1":
+    if "1" in (row["practice"], row["repeated"], row["outlier"]):
         continue
     key = (row["participant"], row["session"], row["block"], row["condition"])
     sequences.setdefault(key, []).append(row)

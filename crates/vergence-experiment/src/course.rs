@@ -144,7 +144,7 @@ impl Course {
                     attempt + 1
                 )));
             }
-            self.advance(record.trial.error, None);
+            self.advance(record.trial.error == Some(true), None);
         }
         if matches!(self.phase, Phase::Break { .. } | Phase::Moving { .. }) {
             self.phase = Phase::Start;
@@ -381,6 +381,8 @@ impl Course {
             factors: planned.factors.clone(),
             index: planned.index,
             practice: planned.practice,
+            attempt: self.place.attempt,
+            repeated: false,
             amplitude: Some(distance(said(from), said(to))),
             width: planned.to.width,
             from: Some(said(from)),
@@ -388,7 +390,7 @@ impl Course {
             start: Some(said(start)),
             end: said(end),
             mt_s,
-            error,
+            error: Some(error),
             samples: samples.collect(),
             measured: None,
             spatial_outlier: None,
@@ -559,7 +561,7 @@ mod tests {
                 (&trial.condition, trial.index, trial.to),
                 (&planned.condition, planned.index, planned.to.centre)
             );
-            assert!(!trial.error && trial.start == trial.from && trial.end == trial.to);
+            assert!(trial.error == Some(false) && trial.start == trial.from && trial.end == trial.to);
             assert!((trial.mt_s - 0.5).abs() < 1e-12 || trial.index == 0, "{}", trial.mt_s);
             assert!(trial.samples.len() > 4 && trial.samples[0].t_s == 0.0);
             assert_eq!(trial.samples.last().map(|s| s.t_s), Some(trial.mt_s));
@@ -576,7 +578,7 @@ mod tests {
             [goal.centre[0] + off, goal.centre[1], goal.centre[2]]
         };
         let records = clicked(&mut course, 0, 45, beside);
-        assert!(records.iter().all(|record| record.trial.error));
+        assert!(records.iter().all(|record| record.trial.error == Some(true)));
         let attempts: Vec<u32> = records.iter().step_by(15).map(|record| record.place.attempt).collect();
         assert_eq!(attempts, [0, 1, 0]);
         assert_eq!((records[15].place.trial, records[30].place.trial), (0, 15));
@@ -629,7 +631,11 @@ mod tests {
             }
         }
         let ended = ended.unwrap();
-        assert!((ended.trial.mt_s - 0.8).abs() < 1e-9 && !ended.trial.error, "{}", ended.trial.mt_s);
+        assert!(
+            (ended.trial.mt_s - 0.8).abs() < 1e-9 && ended.trial.error == Some(false),
+            "{}",
+            ended.trial.mt_s
+        );
         assert_eq!(ended.trial.samples.last().map(|sample| sample.position), Some(ended.trial.end));
     }
 
@@ -683,7 +689,7 @@ mod tests {
             };
             let records = clicked(&mut Course::new(&study, "P01"), 0, 8, at);
             for (n, record) in records.iter().enumerate() {
-                assert_eq!((record.trial.error, record.trial.width), (n % 2 == 1, None), "{kind} {n}");
+                assert_eq!((record.trial.error, record.trial.width), (Some(n % 2 == 1), None), "{kind} {n}");
             }
         }
     }
@@ -706,7 +712,7 @@ mod tests {
             let Step::Trial(record) = course.follow(&there) else {
                 panic!("the end of the tunnel ends the trial")
             };
-            assert_eq!((record.trial.error, record.trial.mt_s), (error, 0.2));
+            assert_eq!((record.trial.error, record.trial.mt_s), (Some(error), 0.2));
         }
     }
 
@@ -727,7 +733,7 @@ mod tests {
         let records = clicked(&mut course, 0, 15, |goal, _| goal.centre.map(|x| 2.0 * x));
         for record in &records {
             let trial = &record.trial;
-            assert!(!trial.error && trial.to.iter().all(|x| x.abs() < 1e-12), "{trial:?}");
+            assert!(trial.error == Some(false) && trial.to.iter().all(|x| x.abs() < 1e-12), "{trial:?}");
             assert!(trial.end.iter().all(|x| x.abs() < 1e-12));
             let (Some(from), Some(amplitude)) = (trial.from, trial.amplitude) else { panic!("{trial:?}") };
             assert!((from[0].hypot(from[1]) - amplitude).abs() < 1e-12);

@@ -151,27 +151,19 @@ pub fn imported(logs: &[SessionLog]) -> Result<Imported, Error> {
         let complete = own.and_then(|own| own.iter().rev().find(|(_, trials)| **trials >= length));
         complete.or_else(|| own.and_then(|own| own.iter().next_back())).map_or(0, |(attempt, _)| *attempt)
     };
-    let (mut superseded, mut warnings) = (0u64, Vec::new());
+    let mut warnings = Vec::new();
     for ((log, records), length) in logs.iter().zip(kept).zip(lengths) {
         for record in records {
             let Place { block, trial, attempt } = record.place;
             let key =
                 (record.trial.participant.as_str(), record.trial.session.as_str(), block, trial / length);
             let mut own = record.trial.clone();
-            if chosen(&key, length) != attempt {
-                superseded += u64::from(!own.practice);
-                own.practice = true;
-            }
+            own.repeated |= chosen(&key, length) != attempt;
             data.trials.push(own);
         }
         let name = log.path.file_name().unwrap_or_default().to_string_lossy();
         warnings
             .extend(log.damage.iter().map(|damage| format!("{name}: {damage}; what is whole is analysed")));
-    }
-    if superseded > 0 {
-        warnings.push(format!(
-            "{superseded} trials are of sequences that were repeated for too many misses: they count as practice"
-        ));
     }
     let of = |is: &dyn Fn(&SessionLog) -> bool| {
         let people: BTreeSet<&str> =
@@ -215,7 +207,8 @@ pub fn write_log(path: &Path, all: &Imported, application: &str) -> Result<(), E
     for (number, trial) in all.data.trials.iter().enumerate() {
         let began = now;
         now = now.saturating_add(Span::from_secs_f64(trial.mt_s).unwrap_or(Span::ZERO));
-        let place = Place { trial: u32::try_from(number).unwrap_or(u32::MAX), ..Place::default() };
+        let trial_number = u32::try_from(number).unwrap_or(u32::MAX);
+        let place = Place { trial: trial_number, attempt: trial.attempt, ..Place::default() };
         let record = Record { trial: trial.clone(), place, began, wall_ns: 0 };
         journal.put(now, &record);
         if number % 256 == 255 {

@@ -91,6 +91,8 @@ impl Message for Record {
                 Kind::Sfixed64,
                 "the computer's clock at the end, nanoseconds since 1970",
             ),
+            Field::one("error_unknown", 29, Kind::Bool, "nothing says whether the target was missed"),
+            Field::one("repeated", 30, Kind::Bool, "not analysed: its sequence was made again"),
         ],
     };
 
@@ -118,7 +120,7 @@ impl Message for Record {
         packed(18, trial.start.iter().flatten().copied(), out);
         packed(19, trial.end, out);
         out.double(20, trial.mt_s);
-        out.bool(21, trial.error);
+        out.bool(21, trial.error == Some(true));
         out.uint(22, flag(trial.spatial_outlier));
         out.uint(23, flag(trial.temporal_outlier));
         packed(24, trial.samples.iter().map(|sample| sample.t_s), out);
@@ -127,6 +129,8 @@ impl Message for Record {
         packed(26, measured.map(|value| value.unwrap_or(f64::NAN)), out);
         out.sfixed64(27, began.as_nanos());
         out.sfixed64(28, *wall_ns);
+        out.bool(29, trial.error.is_none());
+        out.bool(30, trial.repeated);
     }
 
     fn decode(bytes: &[u8]) -> Result<Sample<Self>, WireError> {
@@ -135,6 +139,7 @@ impl Message for Record {
         let (mut times, mut places) = (Vec::new(), Vec::new());
         let trial = &mut record.trial;
         trial.mt_s = f64::NAN;
+        let (mut error, mut error_unknown) = (false, false);
         Decoder::new(bytes).each(|number, value| {
             let text = || value.text().map(str::to_owned);
             match number {
@@ -164,7 +169,7 @@ impl Message for Record {
                 18 => trial.start = point(value)?,
                 19 => trial.end = point(value)?.unwrap_or_default(),
                 20 => trial.mt_s = value.double()?,
-                21 => trial.error = value.bool()?,
+                21 => error = value.bool()?,
                 22 => trial.spatial_outlier = unflag(value)?,
                 23 => trial.temporal_outlier = unflag(value)?,
                 24 => times = numbers(value)?,
@@ -172,10 +177,14 @@ impl Message for Record {
                 26 => trial.measured = measured(&numbers(value)?),
                 27 => record.began = Timestamp::from_nanos(value.sfixed64()?),
                 28 => record.wall_ns = value.sfixed64()?,
+                29 => error_unknown = value.bool()?,
+                30 => trial.repeated = value.bool()?,
                 _ => {}
             }
             Ok(())
         })?;
+        trial.error = (!error_unknown).then_some(error);
+        trial.attempt = record.place.attempt;
         if places.len() != 3 * times.len() {
             return Err(WireError::Value {
                 what: "the cursor's places",
@@ -264,6 +273,8 @@ mod tests {
                 factors: BTreeMap::from([("hand".into(), "left=right".into())]),
                 index: 14,
                 practice: true,
+                attempt: 2,
+                repeated: true,
                 amplitude: Some(0.35),
                 width: None,
                 from: Some([1.0, 2.0, 3.0]),
@@ -271,7 +282,7 @@ mod tests {
                 start: None,
                 end: [0.1, f64::MIN_POSITIVE, -0.0],
                 mt_s: 0.777,
-                error: true,
+                error: Some(true),
                 samples: (0..70).map(sample).collect(),
                 measured: Some(PathMeasures { tre: Some(1.0), mo: Some(-2.0), ..PathMeasures::default() }),
                 spatial_outlier: Some(false),

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 use serde::Serialize;
-use vergence_study::Geometry;
+use vergence_study::{CursorSample, Geometry};
 
 use crate::error::Error;
 use crate::folder::{Folder, MANIFEST, STUDY_FILE, Sitting, State};
@@ -15,9 +15,11 @@ use crate::slip::slip;
 
 /// The computer's clock and the session's may drift apart so much between two trials, seconds.
 const JUMP_S: f64 = 1.0;
-/// A movement has a gap where the cursor was not seen for so long, seconds, and so many usual intervals.
+/// A movement has a gap where the cursor was not seen for so long, seconds, and so many usual intervals, and then came out so
+/// many times as far away as it otherwise goes from one sample to the next: a mouse at rest says nothing, and is no gap.
 const GAP_S: f64 = 0.1;
 const GAP_INTERVALS: f64 = 5.0;
+const GAP_STEPS: f64 = 2.0;
 /// Two logs of which so many trials are the same are copies.
 const COPIED_SHARE: f64 = 0.2;
 
@@ -69,6 +71,8 @@ pub struct Participant {
     pub parts: usize,
     /// How the last of them ended.
     pub state: State,
+    /// What they used: `mouse`, `controller`, `simulated:SEED`.
+    pub input: String,
 }
 
 /// What a study's folder holds, and what is wrong with it.
@@ -268,8 +272,12 @@ fn times(log: &SessionLog, add: &mut dyn FnMut(Kind, String)) {
         let mut sorted = intervals.clone();
         sorted.sort_unstable_by(f64::total_cmp);
         let usual = sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
-        let longest = sorted.last().copied().unwrap_or(0.0);
-        if longest > GAP_S && longest > GAP_INTERVALS * usual {
+        let is_long = |interval: f64| interval > GAP_S && interval > GAP_INTERVALS * usual;
+        let steps = || samples.windows(2).zip(&intervals).map(|(pair, t)| (*t, step(pair)));
+        let step = steps().filter(|(t, _)| !is_long(*t)).fold(0.0, |most: f64, (_, step)| most.max(step));
+        let gap = steps().filter(|(t, own)| is_long(*t) && *own > GAP_STEPS * step);
+        let longest = gap.fold(0.0, |longest: f64, (t, _)| longest.max(t));
+        if longest > 0.0 {
             gaps = (gaps.0 + 1, gaps.1.max(longest));
         }
     }
@@ -283,6 +291,12 @@ fn times(log: &SessionLog, add: &mut dyn FnMut(Kind, String)) {
             ),
         );
     }
+}
+
+/// How far it is from the one to the other.
+fn step(pair: &[CursorSample]) -> f64 {
+    let [a, b] = pair else { return 0.0 };
+    (Vector3::from(b.position) - Vector3::from(a.position)).norm()
 }
 
 /// Of those that are numbers.
@@ -355,6 +369,8 @@ fn people(
             .flat_map(|(_, log)| &log.records)
             .collect();
         let file = sittings.last().map_or("", |sitting| sitting.file.as_str());
+        let input = logs.iter().rev().find(|(sitting, _)| sitting.participant == name);
+        let input = input.map_or("", |(_, log)| log.about.input.as_str());
         let mut course = crate::Course::new(folder.study(), name);
         let mut fits = true;
         if let Err(error) = course.resume(own.iter().copied()) {
@@ -393,7 +409,16 @@ fn people(
             finished,
             parts: sittings.len(),
             state,
+            input: input.to_owned(),
         });
+        if finished {
+            // How an earlier part ended is no longer of interest.
+            let own = |finding: &&mut Finding| sittings.iter().any(|sitting| sitting.file == finding.file);
+            for finding in findings.iter_mut().filter(own).filter(|one| one.kind == Kind::Incomplete) {
+                finding.kind = Kind::Note;
+                finding.text += " (everything was done later)";
+            }
+        }
     }
     people
 }

@@ -16,7 +16,9 @@ body { font: 16px/1.5 system-ui, 'DejaVu Sans', Arial, sans-serif; max-width: 70
 p { max-width: 60rem; }
 h1 { font-size: 1.5rem; line-height: 1.2; } h2 { font-size: 1.2rem; margin-top: 2rem; }
 figure { margin: 1rem 0; overflow-x: auto; } figure svg, figure img { max-width: 100%; height: auto; background: #fff; }
-figure svg { min-width: 36rem; }
+.narrow { display: none; }
+tfoot td { border-top: 2px solid #888; }
+.wide td:first-child, .wide th:first-child { position: sticky; left: 0; background: Canvas; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 0.9rem; }
 th, td { padding: 0.25rem 0.6rem; border-bottom: 1px solid #8884; text-align: left; white-space: nowrap; }
@@ -25,9 +27,13 @@ th { position: sticky; top: 0; } th button { font: inherit; font-weight: 600; bo
   color: inherit; cursor: pointer; } th button::after { content: ' ↕'; opacity: 0.4; }
 th[aria-sort=ascending] button::after { content: ' ↑'; opacity: 1; }
 th[aria-sort=descending] button::after { content: ' ↓'; opacity: 1; }
-@media (max-width: 40rem) { figure::before, .wide::before { content: 'more to the right →'; display: block; position: sticky;
-  left: 0; font-size: 0.8rem; opacity: 0.7; } }
+@media (max-width: 40rem) {
+  figure.roomy { display: none; } figure.narrow { display: block; } figure.narrow svg { width: 100%; }
+  .wide::before { content: 'more to the right →'; display: block; position: sticky; left: 0; font-size: 0.8rem; opacity: 0.7; }
+}
+@media print { figure.roomy { display: block; } figure.narrow { display: none; } }
 tr.marked { background: #0072b222; font-weight: 600; }
+.wide tr.marked td:first-child { background: linear-gradient(#0072b222, #0072b222), Canvas; }
 ";
 
 /// Sorts a table by the column whose head is pressed; again: the other way round; what was not measured stays last.
@@ -64,18 +70,21 @@ impl Page {
         self
     }
 
-    /// With a plot.
+    /// With a plot, laid out twice: as it is, and for screens as narrow as a phone's.
     ///
     /// # Errors
     /// Those of [`Plot::to_svg`].
     pub fn plot(mut self, plot: &Plot) -> Result<Self, Error> {
-        // Several plots share the page's namespace of ids.
-        let id = format!("frame{}", self.body.len());
-        let svg = plot
-            .to_svg()?
-            .replace("id=\"frame\"", &format!("id=\"{id}\""))
-            .replace("url(#frame)", &format!("url(#{id})"));
-        self.body += &format!("<figure>{svg}</figure>\n");
+        let narrow = plot.narrow();
+        for (class, plot) in [("roomy", plot), ("narrow", &narrow)] {
+            // Several plots share the page's namespace of ids.
+            let id = format!("frame{}", self.body.len());
+            let svg = plot
+                .to_svg()?
+                .replace("id=\"frame\"", &format!("id=\"{id}\""))
+                .replace("url(#frame)", &format!("url(#{id})"));
+            self.body += &format!("<figure class=\"{class}\">{svg}</figure>\n");
+        }
         Ok(self)
     }
 
@@ -133,6 +142,10 @@ mod tests {
         let all = ids.len();
         ids.sort_unstable();
         ids.dedup();
-        assert_eq!((all, ids.len()), (2, 2));
+        assert_eq!((all, ids.len()), (4, 4));
+        assert_eq!(
+            (page.matches("viewBox=\"0 0 760").count(), page.matches("viewBox=\"0 0 360").count()),
+            (2, 2)
+        );
     }
 }

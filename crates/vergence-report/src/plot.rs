@@ -16,6 +16,10 @@ pub const OKABE_ITO: [&str; 8] =
 const LEAST_SIZE: (u32, u32) = (240, 180);
 const FONT_PX: f64 = 12.0;
 const TITLE_PX: f64 = 16.0;
+/// From a line of the title to the next.
+const TITLE_LINE_PX: f64 = 18.0;
+/// Room for the labels of the y axis.
+const LEFT_PX: f64 = 74.0;
 const LABEL_PX: f64 = 10.5;
 /// Half the side of a marker, pixels.
 const MARKER_PX: f64 = 4.0;
@@ -44,7 +48,7 @@ pub struct Series {
 pub enum Style {
     /// Markers.
     Points,
-    /// Hollow, pale markers: what others are compared with.
+    /// Pale markers with an edge: what others are compared with.
     FaintPoints,
     /// Large rings around points of other series.
     Rings,
@@ -110,6 +114,14 @@ impl Plot {
         self
     }
 
+    /// The same as wide as a phone, on which a pixel of ours is about one of its, and as high as title and legend then need.
+    pub(crate) fn narrow(&self) -> Self {
+        let mut plot = self.clone().with_size(360, 0);
+        let lines = plot.title_lines().len() as f64 * TITLE_LINE_PX + plot.legend_rows().len() as f64 * 18.0;
+        plot.height = 330 + lines as u32;
+        plot
+    }
+
     /// The plot as an SVG document. O(points + labels²).
     ///
     /// # Errors
@@ -120,21 +132,26 @@ impl Plot {
             return Err(Error::Size { expected: LEAST_SIZE, found });
         }
         let legend = self.legend_rows();
-        let top = 20.0 + TITLE_PX + legend.len() as f64 * 18.0;
-        let left = 74.0;
+        let title = self.title_lines();
+        let top = 20.0 + title.len() as f64 * TITLE_LINE_PX + legend.len() as f64 * 18.0;
+        let left = LEFT_PX;
         let frame = Rect {
             x: left,
             y: top,
             width: f64::from(self.width) - left - 24.0,
             height: f64::from(self.height) - top - 58.0,
         };
+        if frame.height < 60.0 {
+            let expected = (self.width, self.height + 60);
+            return Err(Error::Size { expected, found });
+        }
         let points = || self.series.iter().flat_map(|s| &s.points).filter(|p| self.has_place(p));
         let x = self.x.laid_out(points().map(|p| p.x), frame.width)?;
         let y = self.y.laid_out(points().map(|p| p.y), frame.height)?;
         let canvas = Canvas { frame, x, y };
         let mut svg = String::new();
-        self.draw_frame(&mut svg, &canvas);
-        self.draw_legend(&mut svg, &legend);
+        self.draw_frame(&mut svg, &canvas, &title);
+        self.draw_legend(&mut svg, &legend, title.len());
         let _ = writeln!(svg, "<g clip-path=\"url(#frame)\">");
         for (index, series) in self.series.iter().enumerate() {
             self.draw_series(&mut svg, &canvas, index, series);
@@ -150,7 +167,25 @@ impl Plot {
         self.x.accepts(point.x) && self.y.accepts(point.y)
     }
 
-    fn draw_frame(&self, svg: &mut String, canvas: &Canvas) {
+    /// The title, in as many lines as it takes.
+    fn title_lines(&self) -> Vec<String> {
+        // Bold letters are wider.
+        let room = (f64::from(self.width) - LEFT_PX - 8.0) / 1.15;
+        let mut lines = vec![String::new()];
+        for word in self.title.split_whitespace() {
+            let last = lines.last().cloned().unwrap_or_default();
+            let joined = if last.is_empty() { word.to_owned() } else { format!("{last} {word}") };
+            if last.is_empty() || width_px(&joined, TITLE_PX) <= room {
+                lines.pop();
+                lines.push(joined);
+            } else {
+                lines.push(word.to_owned());
+            }
+        }
+        lines
+    }
+
+    fn draw_frame(&self, svg: &mut String, canvas: &Canvas, title_lines: &[String]) {
         let (width, height) = (self.width, self.height);
         let Rect { x: left, y: top, width: w, height: h } = canvas.frame;
         let (right, bottom) = (left + w, top + h);
@@ -161,14 +196,20 @@ impl Plot {
              height=\"{height}\" role=\"img\" font-family=\"system-ui, 'DejaVu Sans', Arial, sans-serif\" \
              font-size=\"{FONT_PX}\"><title>{title}</title>\n\
              <clipPath id=\"frame\"><rect x=\"{:.1}\" y=\"{:.1}\" width=\"{:.1}\" height=\"{:.1}\"/></clipPath>\n\
-             <rect width=\"{width}\" height=\"{height}\" fill=\"#fff\"/>\n\
-             <text x=\"{left:.1}\" y=\"{:.1}\" font-size=\"{TITLE_PX}\" font-weight=\"600\">{title}</text>",
+             <rect width=\"{width}\" height=\"{height}\" fill=\"#fff\"/>",
             left - 2.0 * MARKER_PX,
             top - 2.0 * MARKER_PX,
             w + 4.0 * MARKER_PX,
             h + 4.0 * MARKER_PX,
-            8.0 + TITLE_PX,
         );
+        for (i, line) in title_lines.iter().enumerate() {
+            let _ = writeln!(
+                svg,
+                "<text x=\"{left:.1}\" y=\"{:.1}\" font-size=\"{TITLE_PX}\" font-weight=\"600\">{}</text>",
+                8.0 + TITLE_PX + TITLE_LINE_PX * i as f64,
+                escaped(line)
+            );
+        }
         for (value, label) in &canvas.x.ticks {
             let x = left + canvas.x.position(*value);
             let _ = writeln!(
@@ -209,7 +250,7 @@ impl Plot {
             let width = 34.0 + width_px(&series.name, FONT_PX);
             if x + width > f64::from(self.width) - 24.0 {
                 rows.push(Vec::new());
-                x = 74.0;
+                x = LEFT_PX;
             }
             if let Some(row) = rows.last_mut() {
                 row.push((index, x));
@@ -219,9 +260,9 @@ impl Plot {
         rows
     }
 
-    fn draw_legend(&self, svg: &mut String, rows: &[Vec<(usize, f64)>]) {
+    fn draw_legend(&self, svg: &mut String, rows: &[Vec<(usize, f64)>], title_lines: usize) {
         for (row, entries) in rows.iter().enumerate() {
-            let y = 24.0 + TITLE_PX + 18.0 * row as f64;
+            let y = 24.0 + TITLE_LINE_PX * title_lines as f64 + 18.0 * row as f64;
             for &(index, x) in entries {
                 let series = &self.series[index];
                 if matches!(series.style, Style::Line | Style::Curve | Style::Steps) {
@@ -355,7 +396,9 @@ fn marker(index: usize, style: Style, x: f64, y: f64, tooltip: &str) -> String {
     };
     let color = OKABE_ITO[index % OKABE_ITO.len()];
     let paint = match style {
-        Style::FaintPoints => format!("fill=\"#fff\" stroke=\"{color}\" stroke-opacity=\"0.6\""),
+        Style::FaintPoints => {
+            format!("fill=\"{color}\" fill-opacity=\"0.3\" stroke=\"{color}\" stroke-width=\"1.2\"")
+        }
         Style::Rings => format!("fill=\"none\" stroke=\"{color}\" stroke-width=\"2.5\""),
         _ => format!("fill=\"{color}\" stroke=\"#fff\" stroke-width=\"0.8\""),
     };
@@ -395,6 +438,17 @@ mod tests {
             let expected = svg.matches(&closed).count() + if element == "circle" { self_closed } else { 0 };
             assert_eq!(opened, expected, "{element}");
         }
+    }
+
+    #[test]
+    fn a_long_title_is_broken_where_there_is_no_room() {
+        let wide =
+            Plot::new("Conditional accuracy: misses by movement time", Axis::linear("x"), Axis::linear("y"));
+        let narrow = wide.clone().with_size(360, 360);
+        assert_eq!((wide.title_lines().len(), narrow.title_lines().len()), (1, 2));
+        assert_eq!(narrow.title_lines().join(" "), "Conditional accuracy: misses by movement time");
+        let none = Plot::new("", Axis::linear("x"), Axis::linear("y")).with_size(360, 360);
+        assert!(none.to_svg().is_ok());
     }
 
     #[test]

@@ -13,6 +13,7 @@ pub struct Table {
 struct Row {
     cells: Vec<Cell>,
     marked: bool,
+    total: bool,
 }
 
 /// The head of a column.
@@ -48,9 +49,17 @@ impl Table {
 
     /// Adds a row; missing cells are empty, surplus ones are dropped. A `marked` row stands out (`*` in text).
     pub fn push(&mut self, cells: Vec<Cell>, marked: bool) {
-        let mut cells = cells;
+        self.add(cells, marked, false);
+    }
+
+    /// Adds a row that says something of all others, marked: sorting leaves it at the foot.
+    pub fn push_total(&mut self, cells: Vec<Cell>) {
+        self.add(cells, true, true);
+    }
+
+    fn add(&mut self, mut cells: Vec<Cell>, marked: bool, total: bool) {
         cells.resize(self.columns.len(), Cell::Empty);
-        self.rows.push(Row { cells, marked });
+        self.rows.push(Row { cells, marked, total });
     }
 
     /// Without the columns in which nothing was measured in any row.
@@ -105,8 +114,19 @@ impl Table {
             );
         }
         html += "</tr></thead><tbody>\n";
-        for row in &self.rows {
-            html += if row.marked { "<tr class=\"marked\">" } else { "<tr>" };
+        self.rows_html(&mut html, false);
+        html += "</tbody>";
+        if self.rows.iter().any(|row| row.total) {
+            html += "<tfoot>\n";
+            self.rows_html(&mut html, true);
+            html += "</tfoot>";
+        }
+        html + "</table></div>\n"
+    }
+
+    fn rows_html(&self, html: &mut String, total: bool) {
+        for row in self.rows.iter().filter(|row| row.total == total) {
+            *html += if row.marked { "<tr class=\"marked\">" } else { "<tr>" };
             for (cell, printed) in row.cells.iter().zip(self.printed(&row.cells)) {
                 let _ = match cell {
                     Cell::Number(value) if value.is_finite() => {
@@ -118,9 +138,8 @@ impl Table {
                     Cell::Text(_) => write!(html, "<td>{}</td>", escaped(&printed)),
                 };
             }
-            html += "</tr>\n";
+            *html += "</tr>\n";
         }
-        html + "</tbody></table></div>\n"
     }
 
     fn printed(&self, cells: &[Cell]) -> Vec<String> {
@@ -140,6 +159,17 @@ impl Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn totals_stay_at_the_foot() {
+        let mut table = Table::new(vec![Column::new("who", 0), Column::new("x", 1)]);
+        table.push_total(vec![Cell::Text("all".into()), Cell::Number(2.0)]);
+        table.push(vec![Cell::Text("a".into()), Cell::Number(1.0)], false);
+        let html = table.to_html();
+        let (body, foot) = html.split_once("</tbody><tfoot>").unwrap();
+        assert!(body.contains(">a<") && !body.contains(">all<") && foot.contains(">all<"), "{html}");
+        assert!(foot.ends_with("</tfoot></table></div>\n") && !html.replace(foot, "").contains("</table>"));
+    }
 
     #[test]
     fn columns_line_up() {

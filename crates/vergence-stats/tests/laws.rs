@@ -9,6 +9,7 @@ fn exact(values: &[f64]) -> Vec<Decimal> {
 
 fn observation(subject: usize, group: Option<&str>, levels: &[usize], value: f64) -> Observation {
     let levels = levels.iter().map(usize::to_string).collect();
+    let value = Decimal::from_f64(value).expect("a number that is finite");
     Observation { subject: subject.to_string(), group: group.map(str::to_owned), levels, value }
 }
 
@@ -137,6 +138,66 @@ fn a_mixed_design_splits_its_sums() {
         + result.effects[0].ss[1]
         + result.effects[1].ss[1];
     near(parts, total);
+}
+
+#[test]
+fn repeated_measures_are_exact_whatever_offset_they_share() {
+    // 10 subjects in three conditions, two decimals; F in exact fractions by the sums of squares of the two-way table.
+    let hundredths: Vec<[i64; 3]> =
+        (0..10).map(|s: i64| [s * 37 % 101, 40 + s * 53 % 97, 20 + s * 71 % 89]).collect();
+    let row = |s: usize| hundredths[s].iter().sum::<i64>();
+    let column = |c: usize| hundredths.iter().map(|row| row[c]).sum::<i64>();
+    let all: i64 = (0..3).map(column).sum();
+    let squares: i64 = hundredths.iter().flatten().map(|value| value * value).sum();
+    // Times 30.
+    let columns = 3 * (0..3).map(|c| column(c).pow(2)).sum::<i64>() - all * all;
+    let rows = 10 * (0..10).map(|s| row(s).pow(2)).sum::<i64>() - all * all;
+    let error = 30 * squares - all * all - columns - rows;
+    let expected = (columns * 18) as f64 / (error * 2) as f64;
+    for offset in ["", "1000000", "1000000000000", "100000000000000000000"] {
+        let observations: Vec<Observation> = (0..30)
+            .map(|i| {
+                let value = format!("{offset}{:03}", hundredths[i / 3][i % 3] + 100);
+                let (whole, decimals) = value.split_at(value.len() - 2);
+                let value: Decimal = format!("{whole}.{decimals}").parse().unwrap();
+                Observation { value, ..observation(i / 3, None, &[i % 3], 0.0) }
+            })
+            .collect();
+        let effect = &repeated(&observations, &["w"], None).unwrap().effects[0];
+        assert_eq!(effect.f, Some(expected), "offset {offset}");
+    }
+}
+
+#[test]
+fn without_error_there_is_no_f() {
+    // Subjects differ by a constant that no double has, and by nothing else.
+    let observations: Vec<Observation> = (0..12)
+        .map(|i| {
+            let value: Decimal = format!("{}.{}", i / 3, [1, 2, 7][i % 3]).parse().unwrap();
+            Observation { value, ..observation(i / 3, None, &[i % 3], 0.0) }
+        })
+        .collect();
+    let effect = &repeated(&observations, &["w"], None).unwrap().effects[0];
+    assert_eq!((effect.f, effect.p, effect.partial_eta2), (None, None, Some(1.0)));
+    assert_eq!((effect.ss[1], effect.epsilon_gg), (0.0, Some(1.0)));
+}
+
+#[test]
+fn several_values_in_a_cell_are_averaged_and_counted() {
+    let single = [[1.0, 2.5], [2.0, 4.0], [4.0, 4.5]];
+    let one: Vec<Observation> =
+        (0..6).map(|i| observation(i / 2, None, &[i % 2], single[i / 2][i % 2])).collect();
+    // The same means of one, two or three rows.
+    let mut many = one.clone();
+    for i in [1, 2, 2] {
+        let value = single[i / 2][i % 2];
+        many.push(observation(i / 2, None, &[i % 2], value));
+    }
+    many.push(observation(0, None, &[0], 0.0));
+    many.push(observation(0, None, &[0], 2.0));
+    let (one, many) = (repeated(&one, &["w"], None).unwrap(), repeated(&many, &["w"], None).unwrap());
+    assert_eq!(one.effects, many.effects);
+    assert_eq!((one.per_cell, many.per_cell, many.observations), ([1, 1], [1, 3], 11));
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! From trials to rows (participant × session × block × condition × instruction × other factors) to a summary.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use vergence_stats::{Moments, linear};
 
-use crate::convention::{Axis, Conventions, Difficulty};
+use crate::convention::{Axis, Conventions, Difficulty, Outliers};
 use crate::measure::ends::{Effective, End, Ends, Sequence, end_of};
 use crate::measure::fitts::{difficulty, width_from_errors};
 use crate::measure::outlier::left_out;
@@ -55,6 +55,8 @@ pub struct Row {
     pub trials: u64,
     /// Missed ones among them.
     pub errors: u64,
+    /// Those among them of which it is known whether they missed.
+    pub judged: u64,
     /// Left out among them.
     pub outliers: u64,
     /// Ends and times.
@@ -90,8 +92,10 @@ pub struct Analysis {
     pub dimensions: usize,
     /// The knobs.
     pub conventions: Conventions,
-    /// In the order of their keys.
+    /// In the order of their keys; without those of too few trials.
     pub rows: Vec<Row>,
+    /// Of all sequences, those of too few trials too.
+    pub counts: Counts,
     /// What was left out and why, counted.
     pub exclusions: Vec<(String, u64)>,
     /// Over all rows, along the axis and in all dimensions.
@@ -113,6 +117,50 @@ pub struct Analysis {
     /// Conditional accuracy by instruction (or of all, under an empty name), a mean over sequences; none where trials were
     /// streamed.
     pub accuracy: Vec<(String, Vec<CafBin>)>,
+    /// What is doubtful about the conventions for these trials, in sentences.
+    pub warnings: Vec<String>,
+}
+
+/// How many there were of all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Different participants.
+    pub participants: usize,
+    /// Sequences.
+    pub sequences: usize,
+    /// Trials that were not practice.
+    pub trials: u64,
+    /// Misses among them.
+    pub errors: u64,
+    /// Those among them of which it is known whether they missed.
+    pub judged: u64,
+}
+
+/// How many were left out before anything was computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Left {
+    /// Practice trials.
+    pub practice: u64,
+    /// Other trials of sequences that were made again.
+    pub repeated: u64,
+    /// Those sequences.
+    pub sequences: u64,
+}
+
+impl Left {
+    /// Counts a trial that does not count.
+    pub fn add(&mut self, trial: &Trial) {
+        self.practice += u64::from(trial.practice);
+        self.repeated += u64::from(trial.repeated && !trial.practice);
+        self.sequences += u64::from(trial.repeated && trial.index == 0);
+    }
+
+    /// As if those of `other` had been counted, too.
+    pub fn merge(&mut self, other: Self) {
+        self.practice += other.practice;
+        self.repeated += other.repeated;
+        self.sequences += other.sequences;
+    }
 }
 
 impl Analysis {
@@ -137,15 +185,10 @@ impl Analysis {
         by.values().filter_map(Moments::mean).collect::<Moments>().mean()
     }
 
-    /// Share of misses among all trials that were not practice.
+    /// Share of misses among all trials that were not practice and of which it is known.
     pub fn error_rate(&self) -> Option<f64> {
-        let trials = self.trials();
-        (trials > 0).then(|| self.rows.iter().map(|row| row.errors).sum::<u64>() as f64 / trials as f64)
-    }
-
-    /// Trials that were not practice.
-    pub fn trials(&self) -> u64 {
-        self.rows.iter().map(|row| row.trials).sum()
+        let Counts { errors, judged, .. } = self.counts;
+        (judged > 0).then(|| errors as f64 / judged as f64)
     }
 
     /// Mean over rows of A/W per second: how fast tunnels are gone through, 1/s. None for what is no tunnel.
@@ -154,14 +197,6 @@ impl Analysis {
             return None;
         }
         self.mean(|row| row.id.zip(row.ends.mt_s).filter(|(_, mt)| *mt > 0.0).map(|(id, mt)| id / mt))
-    }
-
-    /// Different participants.
-    pub fn participants(&self) -> usize {
-        let mut names: Vec<&str> = self.rows.iter().map(|row| row.key.participant.as_str()).collect();
-        names.sort_unstable();
-        names.dedup();
-        names.len()
     }
 
     /// Mean over the rows that have a value.
@@ -228,7 +263,7 @@ fn trials_with<'a>(data: &'a DataSet, conventions: &Conventions, paths: bool) ->
             before = if conventions.axis == Axis::Serial { end.map_or(0.0, |end| end.dx) } else { 0.0 };
             analysed[i].end = end;
         }
-        let counted: Vec<usize> = members.iter().copied().filter(|&i| !data.trials[i].practice).collect();
+        let counted: Vec<usize> = members.iter().copied().filter(|&i| data.trials[i].counts()).collect();
         let pairs: Vec<(&Trial, Option<End>)> =
             counted.iter().map(|&i| (&data.trials[i], analysed[i].end)).collect();
         for (&i, left) in counted.iter().zip(left_out(&pairs, conventions)) {
@@ -247,16 +282,17 @@ pub fn analyse(data: &DataSet, conventions: &Conventions) -> Analysis {
 pub(crate) fn analyse_with(data: &DataSet, conventions: &Conventions, paths: bool) -> Analysis {
     let analysed = trials_with(data, conventions, paths);
     let mut groups: BTreeMap<Key, (Row, Sequence, [Moments; 9])> = BTreeMap::new();
+    let mut left = Left::default();
     for one in &analysed {
         let trial = one.trial;
-        if trial.practice {
+        if !trial.counts() {
+            left.add(trial);
             continue;
         }
         let (_, sequence, paths) = groups
             .entry(key_of(trial))
             .or_insert_with(|| (blank_row(trial), Sequence::default(), <_>::default()));
-        sequence.trials += 1;
-        sequence.errors += u64::from(trial.error);
+        sequence.count(trial.error);
         if one.outlier {
             sequence.outliers += 1;
             continue;
@@ -268,19 +304,20 @@ pub(crate) fn analyse_with(data: &DataSet, conventions: &Conventions, paths: boo
             }
         }
     }
-    let practice = data.trials.iter().filter(|trial| trial.practice).count() as u64;
-    let without = analysed.iter().filter(|one| !one.trial.practice && one.end.is_none()).count() as u64;
+    let without = analysed.iter().filter(|one| one.trial.counts() && one.end.is_none()).count() as u64;
     let rows = groups.into_iter().map(|(key, (row, sequence, paths))| {
         let path = PathMeasures::from_values(paths.map(|moments| moments.mean()));
         finished(Row { key, path, ..row }, &sequence, conventions, data.dimensions)
     });
     let rows = rows.collect();
     let mut accuracy: BTreeMap<Key, Vec<(f64, bool)>> = BTreeMap::new();
-    for one in analysed.iter().filter(|one| !one.trial.practice) {
-        accuracy.entry(key_of(one.trial)).or_default().push((one.trial.mt_s, one.trial.error));
+    for trial in data.trials.iter().filter(|trial| trial.counts()) {
+        if let Some(error) = trial.error {
+            accuracy.entry(key_of(trial)).or_default().push((trial.mt_s, error));
+        }
     }
     let accuracy = tradeoff::mean_accuracy(accuracy, 5);
-    let mut analysis = summarised(rows, conventions, &data.length_unit, data.dimensions, practice);
+    let mut analysis = summarised(rows, conventions, &data.length_unit, data.dimensions, left);
     if without > 0 {
         analysis
             .exclusions
@@ -308,6 +345,7 @@ pub fn finished(row: Row, sequence: &Sequence, conventions: &Conventions, dimens
         n: sequence.n(),
         trials: sequence.trials,
         errors: sequence.errors,
+        judged: sequence.judged,
         outliers: sequence.outliers,
         ends,
         ..row
@@ -315,14 +353,22 @@ pub fn finished(row: Row, sequence: &Sequence, conventions: &Conventions, dimens
 }
 
 /// The summary of finished rows.
-pub fn summarised(
+pub(crate) fn summarised(
     rows: Vec<Row>,
     conventions: &Conventions,
     length_unit: &str,
     dimensions: usize,
-    practice: u64,
+    left: Left,
 ) -> Analysis {
     let all = rows.len();
+    let people: BTreeSet<&str> = rows.iter().map(|row| row.key.participant.as_str()).collect();
+    let mut counts = Counts { participants: people.len(), sequences: all, ..Counts::default() };
+    for row in &rows {
+        counts.trials += row.trials;
+        counts.errors += row.errors;
+        counts.judged += row.judged;
+    }
+    let warnings = doubts(&rows, conventions);
     let rows: Vec<Row> = rows.into_iter().filter(|row| row.n >= conventions.least_trials as u64).collect();
     let fit = fit_of(&rows, |row| row.ends.x.ide);
     let mut by: BTreeMap<(&str, &str), Vec<Row>> = BTreeMap::new();
@@ -334,7 +380,13 @@ pub fn summarised(
     });
     let fits = fits.collect();
     let outliers: u64 = rows.iter().map(|row| row.outliers).sum();
-    let mut exclusions = vec![("practice trials".to_owned(), practice)];
+    let mut exclusions = vec![("practice trials".to_owned(), left.practice)];
+    if left.repeated > 0 {
+        exclusions.extend([
+            ("trials of sequences that were made again for too many misses".to_owned(), left.repeated),
+            ("sequences that were made again for too many misses".to_owned(), left.sequences),
+        ]);
+    }
     exclusions.push((format!("trials by the outlier policy '{}'", conventions.outliers), outliers));
     exclusions.push((
         format!("sequences of fewer than {} analysed trials", conventions.least_trials),
@@ -356,8 +408,25 @@ pub fn summarised(
             .map(|fit| tradeoff::error_model(&rows, fit.a, fit.b)),
         fit,
         accuracy: Vec::new(),
+        counts,
+        warnings,
         rows,
     }
+}
+
+/// Where a policy cannot do what its name says.
+fn doubts(rows: &[Row], conventions: &Conventions) -> Vec<String> {
+    // No value of n lies further from their mean than (n − 1)/√n SD (Samuelson 1968): 2.85 for ten.
+    let short = rows.iter().filter(|row| row.n + row.outliers <= 10).count();
+    let is_blind = conventions.outliers == Outliers::ThreeSd && short > 0;
+    let warning = || {
+        format!(
+            "outlier policy '3sd' can leave nothing out of {short} of {} sequences, which have 10 trials or fewer: nothing \
+             lies 3 SD from the mean of so few; '3mad' can",
+            rows.len()
+        )
+    };
+    is_blind.then(warning).into_iter().collect()
 }
 
 fn fit_of(rows: &[Row], bits: impl Fn(&Row) -> Option<f64>) -> Option<Fit> {
@@ -375,4 +444,69 @@ fn fit_of(rows: &[Row], bits: impl Fn(&Row) -> Option<f64>) -> Option<Fit> {
         intervals: [line.interval(0, 0.95), line.interval(1, 0.95)],
         n: x.len(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trials(participant: &str, n: u32) -> impl Iterator<Item = Trial> {
+        (0..n).map(move |index| Trial {
+            participant: participant.to_owned(),
+            index,
+            amplitude: Some(10.0),
+            width: Some(2.0),
+            from: Some([0.0; 3]),
+            to: [10.0, 0.0, 0.0],
+            start: Some([0.0; 3]),
+            end: [10.0 + 0.1 * f64::from(index % 5), 0.0, 0.0],
+            mt_s: 0.5 + 0.01 * f64::from(index % 7),
+            error: Some(index % 5 == 0),
+            ..Trial::default()
+        })
+    }
+
+    fn set(trials: impl Iterator<Item = Trial>) -> DataSet {
+        DataSet { length_unit: "px".into(), dimensions: 1, trials: trials.collect() }
+    }
+
+    #[test]
+    fn what_is_too_short_to_analyse_is_counted_all_the_same() {
+        let data = set(trials("P1", 1).chain(trials("P2", 10)));
+        let analysis = analyse(&data, &Conventions::default());
+        assert_eq!(analysis.rows.len(), 1);
+        let expected = Counts { participants: 2, sequences: 2, trials: 11, errors: 3, judged: 11 };
+        assert_eq!((analysis.counts, analysis.error_rate()), (expected, Some(3.0 / 11.0)));
+    }
+
+    #[test]
+    fn what_was_made_again_is_no_practice() {
+        let first = trials("P1", 12).map(|trial| Trial {
+            practice: trial.index < 2,
+            repeated: true,
+            mt_s: 9.0,
+            ..trial
+        });
+        let last = trials("P1", 12).map(|trial| Trial { practice: trial.index < 2, attempt: 1, ..trial });
+        let analysis = analyse(&set(first.chain(last)), &Conventions::default());
+        let left = |what: &str| analysis.exclusions.iter().find(|(own, _)| own.starts_with(what)).unwrap().1;
+        assert_eq!((analysis.counts.trials, analysis.rows[0].n), (10, 10));
+        assert_eq!(
+            (left("practice trials"), left("trials of sequences"), left("sequences that")),
+            (4, 10, 1)
+        );
+        assert!(analysis.rows[0].ends.mt_s.unwrap() < 1.0);
+    }
+
+    #[test]
+    fn three_sd_says_where_it_is_blind() {
+        let conventions = Conventions { outliers: Outliers::ThreeSd, ..Conventions::default() };
+        let with = |n: u32| {
+            let mut data = set(trials("P1", n));
+            data.trials[3].mt_s = 1e6;
+            let analysis = analyse(&data, &conventions);
+            (analysis.rows[0].outliers, analysis.warnings.len())
+        };
+        assert_eq!((with(10), with(11)), ((0, 1), (1, 0)));
+    }
 }

@@ -22,6 +22,9 @@ fn cell(value: Option<f64>) -> String {
     value.map_or_else(String::new, |value| value.to_string())
 }
 
+/// The first columns of the table of trials.
+const TRIAL_COLUMNS: &str = "participant,session,block,condition,instruction,index,practice,attempt,repeated,amplitude,width,mt_s,error,outlier";
+
 /// Names and values of a row's numbers, in the order of the columns.
 fn numbers(row: &Row) -> Vec<(&'static str, Option<f64>)> {
     let ends = &row.ends;
@@ -48,7 +51,7 @@ fn numbers(row: &Row) -> Vec<(&'static str, Option<f64>)> {
         ("mt_sd_s", ends.mt_sd_s),
         ("bias", ends.bias),
         ("trials", Some(row.trials as f64)),
-        ("errors", Some(row.errors as f64)),
+        ("errors", (row.judged > 0).then_some(row.errors as f64)),
         ("outliers", Some(row.outliers as f64)),
         ("we_error", row.by_errors.we),
         ("ide_error", row.by_errors.ide),
@@ -87,6 +90,14 @@ pub fn conditions_csv(analysis: &Analysis) -> String {
     text
 }
 
+/// Whether one of our tables (or of objects in JSON) has a column of that name, or a map gives the name a meaning.
+pub(crate) fn is_column(name: &str) -> bool {
+    let own = numbers(&Row::default());
+    own.iter().any(|(own, _)| *own == name)
+        || TRIAL_COLUMNS.split(',').any(|own| own == name)
+        || crate::import::is_known(name)
+}
+
 /// The column of a factor in our tables: no other column has such a name.
 pub fn factor_column(name: &str) -> String {
     format!("factor_{name}")
@@ -104,9 +115,7 @@ pub fn trials_csv(trials: &[Analysed<'_>]) -> String {
     let factors = factors_of(trials.iter().map(|one| &one.trial.factors));
     let spatial = trials.iter().any(|one| one.trial.spatial_outlier.is_some());
     let temporal = trials.iter().any(|one| one.trial.temporal_outlier.is_some());
-    let mut text = String::from(
-        "participant,session,block,condition,instruction,index,practice,amplitude,width,mt_s,error,outlier",
-    );
+    let mut text = String::from(TRIAL_COLUMNS);
     for place in ["from", "to", "start", "end"] {
         for axis in ["x", "y", "z"] {
             let _ = write!(text, ",{place}_{axis}");
@@ -128,15 +137,17 @@ pub fn trials_csv(trials: &[Analysed<'_>]) -> String {
         let texts = [&t.participant, &t.session, &t.block, &t.condition].map(|text| quoted(text));
         let _ = write!(
             text,
-            "{},{},{},{},{},{},{},{},{},{}",
+            "{},{},{},{},{},{},{},{},{},{},{},{}",
             texts.join(","),
             quoted(t.instruction.as_deref().unwrap_or("")),
             t.index,
             u8::from(t.practice),
+            t.attempt,
+            u8::from(t.repeated),
             cell(t.amplitude),
             cell(t.width),
             t.mt_s,
-            u8::from(t.error),
+            t.error.map_or_else(String::new, |error| u8::from(error).to_string()),
             u8::from(one.outlier),
             [t.from, Some(t.to), t.start, Some(t.end)]
                 .map(|point| match point {
@@ -233,8 +244,8 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
             "error_rate": analysis.error_rate(),
             "mt_s": analysis.mean(|row| row.ends.mt_s),
             "ide": analysis.mean(|row| row.ends.x.ide),
-            "trials": analysis.trials(),
-            "participants": analysis.participants(),
+            "trials": analysis.counts.trials,
+            "participants": analysis.counts.participants,
             "sequences": analysis.rows.len(),
             "length_unit": analysis.length_unit,
             "dimensions": analysis.dimensions,
@@ -246,6 +257,7 @@ pub fn summary_json(analysis: &Analysis, alternatives: &[Alternative]) -> Value 
             "alternatives": alternatives.collect::<Vec<_>>(),
             "conditional_accuracy": accuracy.collect::<Vec<_>>(),
             "error_model": model,
+            "warnings": analysis.warnings,
             "fits": fits.collect::<Vec<_>>(),
         },
     })

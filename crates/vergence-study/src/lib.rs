@@ -16,7 +16,7 @@ mod tradeoff;
 mod trial;
 
 pub use alternatives::{Alternative, alternatives};
-pub use analysis::{Analysed, Analysis, Fit, Key, Row, analyse, analyse_trials, key_of};
+pub use analysis::{Analysed, Analysis, Counts, Fit, Key, Row, analyse, analyse_trials, key_of};
 pub use convention::{
     Axis, Conventions, Difficulty, Frame, Front, MeanTime, Outliers, PathRule, Reach, SQRT_2_PI_E,
 };
@@ -66,6 +66,16 @@ pub enum Error {
         line: u64,
         /// Its name.
         column: String,
+    },
+    /// A table lacks a column that is needed.
+    #[error(
+        "line 1: expected a column {column:?}, found {header} (a column map says which is which, and what stands between cells)"
+    )]
+    NoColumn {
+        /// Its name.
+        column: String,
+        /// The names that are there.
+        header: String,
     },
     /// A row has more or fewer cells than the header.
     #[error("line {line}: expected {expected} cells, found {found}")]

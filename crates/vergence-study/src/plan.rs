@@ -262,6 +262,9 @@ impl Study {
                 self.per_condition
             ));
         }
+        if self.distance < 0.1 {
+            found.push(format!("targets are {} m away: nobody sees them sharply", self.distance));
+        }
         for size in &self.sizes {
             if size.width.is_some_and(|width| width > size.amplitude) {
                 found.push(format!(

@@ -48,10 +48,14 @@ pub fn page(
                 .map_or_else(String::new, |tp| format!(", {tp:.3} bits/s in all dimensions"))
         )
     };
+    let of_all = match analysis.counts.sequences {
+        all if all > analysis.rows.len() => format!(" of {all}"),
+        _ => String::new(),
+    };
     let mut page = Page::new(title).paragraph(&format!(
-        "{}, {} in {} (participant × session × block × condition). {throughput_text}; mean movement time {}; misses {}.",
-        many(analysis.participants() as u64, "participant"),
-        many(analysis.trials(), "trial"),
+        "{}, {} in {}{of_all} (participant × session × block × condition). {throughput_text}; mean movement time {}; misses {}.",
+        many(analysis.counts.participants as u64, "participant"),
+        many(analysis.counts.trials, "trial"),
         many(analysis.rows.len() as u64, "sequence"),
         shown(analysis.mean(|row| row.ends.mt_s), 3, " s"),
         shown(analysis.error_rate().map(|rate| 100.0 * rate), 1, " %"),
@@ -105,7 +109,7 @@ pub fn page(
         return Ok(page);
     }
     page = page.heading("What each convention does").paragraph(
-        "The same trials with one convention changed at a time (the marked line: as above). Compare throughputs between papers only \
+        "The same trials with one convention changed at a time (the line at the foot: as above). Compare throughputs between papers only \
          where their conventions are the same.",
     );
     let titles = [
@@ -119,7 +123,8 @@ pub fn page(
     ];
     let mut table =
         Table::new(titles.into_iter().map(|(title, decimals)| Column::new(title, decimals)).collect());
-    for one in alternatives {
+    // Its own conventions come last, at the foot.
+    for one in alternatives.iter().skip(1).chain(&alternatives[..1]) {
         let change = |value: Option<f64>, own: Option<f64>| {
             number(value.zip(own).map(|(value, own)| 100.0 * (value / own - 1.0)))
         };
@@ -132,7 +137,7 @@ pub fn page(
             change(one.tp_xy, analysis.tp_xy_mean_of_means()),
             Cell::Number(one.left_out as f64),
         ];
-        table.push(cells, one.knob.is_empty());
+        if one.knob.is_empty() { table.push_total(cells) } else { table.push(cells, false) }
     }
     Ok(page.table(&table))
 }
@@ -159,11 +164,11 @@ fn throughput(analysis: &Analysis) -> Table {
     ];
     let mut table =
         Table::new(titles.into_iter().map(|(title, decimals)| Column::new(title, decimals)).collect());
-    let mut line = |name: &str, rows: &[&Row], marked: bool| {
+    let line = |name: &str, rows: &[&Row]| {
         let mean = |of: &dyn Fn(&Row) -> Option<f64>| {
             number(rows.iter().filter_map(|row| of(row)).collect::<vergence_stats::Moments>().mean())
         };
-        let cells = vec![
+        vec![
             Cell::Text(name.to_owned()),
             Cell::Number(rows.len() as f64),
             mean(&|row| row.ends.x.tp),
@@ -172,14 +177,13 @@ fn throughput(analysis: &Analysis) -> Table {
             mean(&|row| row.ends.mt_s),
             mean(&|row| row.ends.error_rate.map(|rate| 100.0 * rate)),
             mean(&|row| row.ends.x.sd),
-        ];
-        table.push(cells, marked);
+        ]
     };
     for (name, rows) in &groups {
-        line(name, rows, false);
+        table.push(line(name, rows), false);
     }
     if groups.len() > 1 {
-        line("all", &analysis.rows.iter().collect::<Vec<_>>(), true);
+        table.push_total(line("all", &analysis.rows.iter().collect::<Vec<_>>()));
     }
     table.without_empty_columns()
 }
@@ -614,7 +618,7 @@ mod tests {
         )
         .unwrap()
         .to_html();
-        assert_eq!(html.matches("<svg").count(), 4);
+        assert_eq!(html.matches("<svg").count(), 2 * 4);
         for part in [
             "Test &lt;1&gt;",
             "√(2πe)",

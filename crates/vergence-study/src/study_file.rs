@@ -394,6 +394,11 @@ impl Study {
         for (factor, levels) in &raw.factors {
             let place = levels.span().start;
             let levels = levels.get_ref();
+            if crate::export::is_column(factor) {
+                let message =
+                    format!("expected a factor whose name no column of our tables has, found {factor:?}");
+                return Err(wrong(place, &message));
+            }
             if levels.is_empty() {
                 return Err(wrong(place, &format!("expected at least one level of {factor}, found none")));
             }
@@ -430,7 +435,11 @@ impl Study {
             .saturating_mul((per_condition.saturating_add(raw.trials.practice)) as usize)
             .saturating_mul(repetitions as usize);
         if per_condition == 0 || all > MOST_TRIALS {
-            let message = format!("expected from 1 to {MOST_TRIALS} trials in all, found {all}");
+            let message = if per_condition == 0 {
+                "expected at least one trial per condition that is no practice, found 0".to_owned()
+            } else {
+                format!("expected at most {MOST_TRIALS} trials in all, found {all}")
+            };
             return Err(wrong(raw.trials.per_condition.span().start, &message));
         }
         if let Some(share) =
@@ -598,7 +607,9 @@ mod tests {
         assert!(error("seed = 1", "sead = 1").contains("unknown field `sead`"));
         assert!(error("\"williams\"", "\"latin\"").contains("fixed, williams, permutation, random"));
         assert!(error("conditions = \"random\"", "conditions = \"permutation\"").contains("at most 8"));
-        assert!(error("per_condition = 15", "per_condition = 0").contains("from 1 to"));
+        assert!(
+            error("per_condition = 15", "per_condition = 0").contains("at least one trial per condition")
+        );
         assert!(error("# band = [75, 125]", "band = [125, 75]").contains("ascending"));
         assert!(error("kind = \"ring\"", "kind = \"edge\"").contains("expected no widths"));
         assert!(error("kind = \"ring\"", "kind = \"corner\"").contains("expected no widths"));
@@ -635,6 +646,11 @@ mod tests {
                 "# [factors]\n# hand = [\"left\", \"right\"]",
                 "[factors]\nhand = []",
                 "at least one level of hand",
+            ),
+            (
+                "# [factors]\n# hand = [\"left\", \"right\"]",
+                "[factors]\nwidth = [\"left\", \"right\"]",
+                "whose name no column of our tables has, found \"width\"",
             ),
             (
                 "a = \"0.1 s\"\nb = \"0.2 s\"",

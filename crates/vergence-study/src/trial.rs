@@ -32,8 +32,14 @@ pub struct Trial {
     pub factors: BTreeMap<String, String>,
     /// Place in its sequence, from 0.
     pub index: u32,
-    /// Not analysed.
+    /// Not analysed: made to get used to the task.
     pub practice: bool,
+    /// How often its sequence had been made before.
+    #[serde(default)]
+    pub attempt: u32,
+    /// Not analysed: its sequence was made again, for too many misses.
+    #[serde(default)]
+    pub repeated: bool,
     /// Nominal distance between the targets, in the data set's length unit.
     pub amplitude: Option<f64>,
     /// Nominal width of the target along the axis; none where it is unbounded (an edge of the screen).
@@ -48,8 +54,8 @@ pub struct Trial {
     pub end: Point,
     /// Movement time, seconds.
     pub mt_s: f64,
-    /// The target was missed.
-    pub error: bool,
+    /// The target was missed; none where neither the recording nor the target's width says.
+    pub error: Option<bool>,
     /// The path, where it was recorded.
     #[serde(default)]
     pub samples: Vec<CursorSample>,
@@ -61,6 +67,13 @@ pub struct Trial {
     /// Outside of the time band of a metronome.
     #[serde(default)]
     pub temporal_outlier: Option<bool>,
+}
+
+impl Trial {
+    /// Whether it is one of those that are analysed, as far as outlier policies let it.
+    pub fn counts(&self) -> bool {
+        !self.practice && !self.repeated
+    }
 }
 
 /// Measures of a path (MacKenzie, Kauppinen and Silfverberg 2001) and its submovements. Lengths in the data set's unit.

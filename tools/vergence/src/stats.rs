@@ -188,7 +188,7 @@ impl Regress {
         print!("{}", printed.to_text());
         let shown = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), short);
         println!(
-            "\n{} = … , n = {}: R² = {}, residual SD = {}, F({}, {}) = {}, p = {}",
+            "\n{}, n = {}: R² = {}, residual SD = {}, F({}, {}) = {}, p = {}",
             table.names[response],
             fit.n,
             shown(fit.r2),
@@ -277,7 +277,7 @@ impl Anova {
                 subject: table.columns[subject][row].clone(),
                 group: between.map(|column| table.columns[column][row].clone()),
                 levels: within.iter().map(|column| table.columns[*column][row].clone()).collect(),
-                value: value.to_f64(),
+                value: value.clone(),
             })
             .collect();
         let names: Vec<&str> = self.within.iter().map(String::as_str).collect();
@@ -297,6 +297,7 @@ impl Anova {
             let first = &result.effects[0];
             let object = json!({
                 "response": table.names[response], "subjects": result.subjects, "groups": result.groups,
+                "observations": result.observations, "per_cell": result.per_cell,
                 "f": first.f, "df": first.df, "ms": first.ms, "ss": first.ss, "p": first.p, "effects": effects,
             });
             println!("{object}");
@@ -333,8 +334,13 @@ impl Anova {
             printed.push(row, false);
         }
         print!("{}", printed.to_text());
+        let averaged = match result.per_cell {
+            [1, 1] => String::new(),
+            [least, most] if least == most => format!(", means of {most} for each subject and cell"),
+            [least, most] => format!(", means of {least} to {most} for each subject and cell"),
+        };
         println!(
-            "\n{} subjects, {} groups, {} observations",
+            "\n{} subjects, {} groups, {} observations{averaged}",
             result.subjects, result.groups, result.observations
         );
         Ok(())

@@ -56,7 +56,7 @@ pub struct ColumnMap {
     /// Unit of `mt`: s, ms, us or ns; default s.
     #[serde(default)]
     pub time_unit: Option<String>,
-    /// Between cells; default a comma.
+    /// Between cells; default: whichever of comma, semicolon and tab the first line has.
     #[serde(default)]
     pub delimiter: Option<char>,
     /// `default`, `fittsstudy`, `3dfitts` or `gofitts`; default `default`.
@@ -91,7 +91,7 @@ impl Maps {
     }
 }
 
-pub(super) const NUMBERS: [&str; 29] = [
+pub(super) const NUMBERS: [&str; 30] = [
     "mt",
     "amplitude",
     "width",
@@ -121,9 +121,10 @@ pub(super) const NUMBERS: [&str; 29] = [
     "mo",
     "submovements",
     "overshoots",
+    "attempt",
 ];
 pub(super) const TEXTS: [&str; 5] = ["participant", "session", "block", "condition", "instruction"];
-const FLAGS: [&str; 5] = ["error", "hit", "practice", "spatial_outlier", "temporal_outlier"];
+const FLAGS: [&str; 6] = ["error", "hit", "practice", "spatial_outlier", "temporal_outlier", "repeated"];
 
 /// Places in [`NUMBERS`].
 mod at {
@@ -138,6 +139,7 @@ mod at {
     pub const DX: usize = 16;
     pub const AE: usize = 19;
     pub const PATH: usize = 20;
+    pub const ATTEMPT: usize = 29;
 }
 
 impl ColumnMap {
@@ -147,10 +149,7 @@ impl ColumnMap {
     /// Where it is no map: file, line, column and what was expected.
     pub fn parse(path: &Path, text: &str) -> Result<Self, Error> {
         let map: Self = vergence_config::parse(path, text)?;
-        let known = |name: &String| {
-            [NUMBERS.as_slice(), &TEXTS, &FLAGS].iter().any(|list| list.contains(&name.as_str()))
-        };
-        if let Some(name) = map.columns.keys().find(|name| !known(name)) {
+        if let Some(name) = map.columns.keys().find(|name| !is_known(name)) {
             let offset = text.find(name.as_str()).unwrap_or(0);
             let expected = [NUMBERS.as_slice(), &TEXTS, &FLAGS].concat().join(", ");
             let message = format!("expected one of {expected}, found `{name}`");
@@ -202,9 +201,28 @@ impl ColumnMap {
         }
     }
 
+    /// This map with a delimiter: its own, else the one that `text`, the beginning of a table, has in its first line.
+    pub(super) fn with_delimiter_of(&self, text: &[u8]) -> Self {
+        let line = text.split(|byte| *byte == b'\n').next().unwrap_or_default();
+        // A header in quotes says nothing by what is inside of them.
+        let mut quoted = false;
+        let outside = line.iter().filter(|byte| {
+            quoted ^= **byte == b'"';
+            !quoted
+        });
+        let outside: Vec<u8> = outside.copied().collect();
+        let seen = [',', ';', '\t'].into_iter().find(|mark| outside.contains(&(*mark as u8)));
+        Self { delimiter: self.delimiter.or(seen), ..self.clone() }
+    }
+
     pub(super) fn delimiter(&self) -> u8 {
         self.delimiter.and_then(|c| u8::try_from(c).ok()).unwrap_or(b',')
     }
+}
+
+/// Whether a map may say where `name` comes from.
+pub(crate) fn is_known(name: &str) -> bool {
+    [NUMBERS.as_slice(), &TEXTS, &FLAGS].iter().any(|list| list.contains(&name))
 }
 
 #[derive(Clone, Debug)]
@@ -236,12 +254,8 @@ impl Bound {
         if let Some(first) = names.first_mut() {
             *first = first.trim_start_matches('\u{feff}').to_owned();
         }
-        let place = |name: &str| {
-            names
-                .iter()
-                .position(|own| own == name)
-                .ok_or_else(|| Error::Missing { line: 1, column: name.to_owned() })
-        };
+        let place =
+            |name: &str| names.iter().position(|own| own == name).ok_or_else(|| no_column(name, &names));
         let own = map.columns.is_empty();
         let source = |name: &str| -> Result<Option<Source>, Error> {
             Ok(match map.columns.get(name) {
@@ -296,7 +310,7 @@ impl Bound {
         for (needed, name) in [(at::MT, "mt"), (at::END, "end_x")] {
             if numbers[needed].is_none() && !(needed == at::END && numbers[at::DX].is_some()) {
                 let name = if own && name == "mt" { "mt_s" } else { name };
-                return Err(Error::Missing { line: 1, column: name.to_owned() });
+                return Err(no_column(name, &names));
             }
         }
         let base = if numbers[at::END].is_some() { at::END } else { at::DX };
@@ -359,7 +373,10 @@ impl Bound {
         trial.mt_s = mt * self.seconds;
         trial.amplitude = value(at::AMPLITUDE)?;
         trial.width = value(at::WIDTH)?.filter(|width| *width > 0.0);
-        trial.index = value(at::INDEX)?.map_or(0, |index| index.clamp(0.0, 4e9) as u32);
+        let count = |slot: usize| -> Result<u32, Error> {
+            Ok(value(slot)?.map_or(0, |count| count.clamp(0.0, 4e9) as u32))
+        };
+        (trial.index, trial.attempt) = (count(at::INDEX)?, count(at::ATTEMPT)?);
         let point = |slot: usize| -> Result<Option<[f64; 3]>, Error> {
             let Some(x) = value(slot)? else { return Ok(None) };
             Ok(Some([x, value(slot + 1)?.unwrap_or(0.0), value(slot + 2)?.unwrap_or(0.0)]))
@@ -400,16 +417,17 @@ impl Bound {
             super::truth(&cell, &self.header[place], line).map(Some)
         };
         trial.error = match (flag(0)?, flag(1)?) {
-            (Some(error), _) => error,
-            (None, Some(hit)) => !hit,
+            (Some(error), _) => Some(error),
+            (None, Some(hit)) => Some(!hit),
             (None, None) => {
                 let off: f64 = (0..self.dimensions).map(|i| (trial.end[i] - trial.to[i]).powi(2)).sum();
-                trial.width.is_some_and(|width| off.sqrt() > 0.5 * width)
+                trial.width.map(|width| off.sqrt() > 0.5 * width)
             }
         };
         trial.practice = flag(2)?.unwrap_or(false);
         trial.spatial_outlier = flag(3)?;
         trial.temporal_outlier = flag(4)?;
+        trial.repeated = flag(5)?.unwrap_or(false);
         Ok(true)
     }
 
@@ -427,7 +445,11 @@ impl Bound {
             _ => Err(Error::Cell {
                 line,
                 column: self.header[place].clone(),
-                expected: "a finite number",
+                expected: if is_comma_number(cell) {
+                    "a finite number with a decimal point (decimal commas are not read)"
+                } else {
+                    "a finite number"
+                },
                 found: String::from_utf8_lossy(cell).chars().take(40).collect(),
             }),
         }
@@ -482,6 +504,22 @@ impl Bound {
     }
 }
 
+/// `1,5`.
+fn is_comma_number(cell: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(cell);
+    text.matches(',').count() == 1 && text.replace(',', ".").parse::<f64>().is_ok_and(f64::is_finite)
+}
+
+fn no_column(column: &str, names: &[String]) -> Error {
+    const MOST: usize = 300;
+    let mut header = names.join(", ");
+    if let Some((cut, _)) = header.char_indices().nth(MOST) {
+        header.truncate(cut);
+        header.push('…');
+    }
+    Error::NoColumn { column: column.to_owned(), header }
+}
+
 fn trimmed(cell: &[u8]) -> &[u8] {
     cell.trim_ascii()
 }
@@ -495,6 +533,7 @@ pub(super) fn reader_of<R: std::io::Read>(map: &ColumnMap, reader: R) -> csv::Re
 }
 
 pub(super) fn read(text: &str, map: &ColumnMap) -> Result<Imported, Error> {
+    let map = &map.with_delimiter_of(text.as_bytes());
     let mut reader = reader_of(map, text.as_bytes());
     let mut row = ByteRecord::new();
     let damaged = |error: csv::Error| Error::Xml {
@@ -552,7 +591,10 @@ mod tests {
         let imported = read("p,c,t,x\nA,1,500,104\nA,2,500,104\nA,1,,104\nA,1,250,106\n", &map).unwrap();
         let trials = &imported.data.trials;
         assert_eq!((trials.len(), trials[0].mt_s, trials[0].condition.as_str()), (2, 0.5, "A-1"));
-        assert_eq!((trials[0].error, trials[1].error, imported.data.dimensions), (false, true, 1));
+        assert_eq!(
+            (trials[0].error, trials[1].error, imported.data.dimensions),
+            (Some(false), Some(true), 1)
+        );
         assert_eq!(imported.warnings.len(), 1);
         let error = read("p,c,t,x\nA,1,None,104\n", &map).unwrap_err();
         assert_eq!(error.to_string(), "line 2, column \"t\": expected a finite number, found \"None\"");
@@ -568,8 +610,39 @@ mod tests {
             &ColumnMap::default(),
         )
         .unwrap();
-        assert_eq!((imported.data.trials[0].error, imported.data.trials[1].error), (false, true));
+        assert_eq!((imported.data.trials[0].error, imported.data.trials[1].error), (Some(false), Some(true)));
         assert_eq!(imported.data.trials[0].end, [11.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn semicolons_and_tabs_are_seen_and_decimal_commas_named() {
+        let table = "participant,\"co,nd\",mt_s,dx,amplitude,width\nP1,a,0.5,1,10,4\nP1,a,0.6,-3,10,4\n";
+        let own = read(table, &ColumnMap::default()).unwrap();
+        for mark in [";", "\t"] {
+            let other = table.replace(',', mark);
+            assert_eq!(read(&other, &ColumnMap::default()).unwrap().data, own.data);
+            let streamed = super::super::stream(other.as_bytes(), &ColumnMap::default(), None, 2, |_| {});
+            assert_eq!(streamed.unwrap().analysis.counts.trials, 2);
+        }
+        let comma = "participant;mt_s;dx\nP1;0,5;1\n";
+        let error = read(comma, &ColumnMap::default()).unwrap_err().to_string();
+        assert!(error.starts_with("line 2, column \"mt_s\"") && error.contains("decimal commas"), "{error}");
+        let error = read("who|mt_s|dx\n", &ColumnMap::default()).unwrap_err().to_string();
+        assert!(error.contains("expected a column \"mt_s\", found who|mt_s|dx ("), "{error}");
+    }
+
+    #[test]
+    fn what_nobody_recorded_is_not_known() {
+        let without = read("participant,mt_s,dx\nP1,0.5,1\nP1,0.6,2\n", &ColumnMap::default()).unwrap();
+        assert_eq!(without.data.trials[0].error, None);
+        let analysis = crate::analysis::analyse(&without.data, &without.conventions);
+        assert_eq!((analysis.error_rate(), analysis.rows[0].ends.error_rate), (None, None));
+        assert!(analysis.accuracy.is_empty());
+        // Of a half it is known.
+        let half = "participant,mt_s,dx,error\nP1,0.5,1,1\nP1,0.6,2,\nP1,0.6,2,0\n";
+        let half = read(half, &ColumnMap::default()).unwrap();
+        let analysis = crate::analysis::analyse(&half.data, &half.conventions);
+        assert_eq!((analysis.error_rate(), analysis.counts.trials), (Some(0.5), 3));
     }
 
     proptest! {

@@ -51,7 +51,7 @@ fn table(stem: &str, text: &str) -> Result<Imported, Error> {
             start: Some([a + dx - ae, 0.0, 0.0]),
             end: [a + dx, 0.0, 0.0],
             mt_s: value(&["MT(ms)", "MT"])? * 1e-3,
-            error: value(&["Error", "Errors"])? != 0.0,
+            error: Some(value(&["Error", "Errors"])? != 0.0),
             measured: Some(PathMeasures {
                 tre: path("TRE"),
                 tac: path("TAC"),
@@ -179,7 +179,7 @@ fn traces(stem: &str, text: &str) -> Result<Imported, Error> {
             start: Some(first.position),
             end: last.position,
             mt_s: last.t_s,
-            error,
+            error: Some(error),
             samples,
             ..named(stem, a, w, text_of)
         });
@@ -241,7 +241,7 @@ mod tests {
         let trial = &imported.data.trials[0];
         assert_eq!(
             (trial.mt_s, trial.end, trial.error, trial.samples.len()),
-            (0.6, [104.0, 1.0, 0.0], false, 3)
+            (0.6, [104.0, 1.0, 0.0], Some(false), 3)
         );
         assert_eq!(trial.condition, "C1-A100-W10");
         assert!(read("f", &text.replace("y=,0,2,1,", "y=,0,2,")).is_err());
@@ -265,7 +265,7 @@ mod tests {
         let found = read("f", &text).unwrap();
         assert_eq!(found.data.dimensions, 1);
         // Sixty beside the middle, and still hits.
-        assert!(found.data.trials.iter().all(|trial| !trial.error));
+        assert!(found.data.trials.iter().all(|trial| trial.error == Some(false)));
         let analysis = crate::analyse(&found.data, &found.conventions);
         assert_eq!(analysis.rows.len(), 2);
         // Nothing is carried over: (100 + 5) + (100 − 1 + 5) + (100 + 2 − 1) and one more of each in the second.

@@ -8,6 +8,7 @@ mod parquet;
 mod stream;
 mod threedfitts;
 
+pub(crate) use columns::is_known;
 pub use columns::{Column, ColumnMap, Maps, Scaled};
 #[cfg(feature = "parquet")]
 pub use parquet::{ParquetText, parquet_text, write_parquet};

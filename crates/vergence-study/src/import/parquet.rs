@@ -16,6 +16,7 @@ use parquet::schema::types::Type;
 
 use super::columns::TEXTS;
 use crate::Error;
+use crate::export::factor_column;
 
 /// Text that is made at once.
 const PIECE: usize = 1 << 16;
@@ -109,6 +110,11 @@ fn push_field(text: &mut Vec<u8>, field: &Field) {
     debug_assert!(done.is_ok(), "{done:?}");
 }
 
+/// Names and levels of factors are texts.
+fn is_text(column: &str) -> bool {
+    TEXTS.contains(&column) || column.starts_with(&factor_column(""))
+}
+
 /// Writes a table with a header, as [`crate::trials_csv`] makes it, as Parquet: names as texts, everything else as numbers;
 /// an empty cell has no value.
 ///
@@ -132,7 +138,7 @@ pub fn write_parquet(table: &str, output: impl Write + Send) -> Result<(), Error
             if cell.is_empty() {
                 continue;
             }
-            if TEXTS.contains(&names[i].as_str()) {
+            if is_text(&names[i]) {
                 texts[i].push(cell.into());
             } else {
                 let number = cell.parse().map_err(|_| Error::Cell {
@@ -147,7 +153,7 @@ pub fn write_parquet(table: &str, output: impl Write + Send) -> Result<(), Error
     }
     let wrong = |error: ParquetError| Error::Read(error.to_string());
     let column = |name: &String| {
-        let is_text = TEXTS.contains(&name.as_str());
+        let is_text = is_text(name);
         let physical = if is_text { Physical::BYTE_ARRAY } else { Physical::DOUBLE };
         Type::primitive_type_builder(name, physical)
             .with_repetition(Repetition::OPTIONAL)
@@ -163,7 +169,7 @@ pub fn write_parquet(table: &str, output: impl Write + Send) -> Result<(), Error
         let mut group = writer.next_row_group()?;
         for i in 0..names.len() {
             let Some(mut column) = group.next_column()? else { break };
-            if TEXTS.contains(&names[i].as_str()) {
+            if is_text(&names[i]) {
                 column.typed::<ByteArrayType>().write_batch(&texts[i], Some(&present[i]), None)?;
             } else {
                 column.typed::<DoubleType>().write_batch(&numbers[i], Some(&present[i]), None)?;

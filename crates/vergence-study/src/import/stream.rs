@@ -12,7 +12,7 @@ use vergence_stats::Moments;
 
 use super::columns::{Bound, ColumnMap, reader_of};
 use crate::Error;
-use crate::analysis::{Analysis, Key, Row, finished, key_of, summarised};
+use crate::analysis::{Analysis, Key, Left, Row, finished, key_of, summarised};
 use crate::convention::{Axis, Conventions, Outliers};
 use crate::measure::ends::{Sequence, end_of};
 use crate::measure::outlier::is_spatial;
@@ -37,7 +37,7 @@ pub struct Streamed {
 struct Sums {
     groups: HashMap<Vec<u8>, usize>,
     sequences: Vec<(Vec<u8>, One)>,
-    practice: u64,
+    left: Left,
     absent: u64,
     rows: u64,
 }
@@ -86,7 +86,7 @@ impl Sums {
     }
 
     fn merge(&mut self, other: Self) -> Result<(), Error> {
-        self.practice += other.practice;
+        self.left.merge(other.left);
         self.absent += other.absent;
         self.rows += other.rows;
         for (key, one) in other.sequences {
@@ -115,6 +115,7 @@ pub fn stream<R: Read + Send>(
     let Some(first) = pieces.next(&mut input)? else {
         return Err(Error::Header { expected: "the names of the columns" });
     };
+    let map = &map.with_delimiter_of(&first);
     let mut reader = reader_of(map, first.as_slice());
     let mut header = ByteRecord::new();
     reader
@@ -214,7 +215,7 @@ pub fn stream<R: Read + Send>(
     let mut warnings = bound.warnings(sums.absent);
     let times: Vec<f64> = rows.iter().filter_map(|row| row.ends.mt_s).collect();
     warnings.extend(super::time_slip(&times));
-    let analysis = summarised(rows, &conventions, &bound.length_unit, bound.dimensions, sums.practice);
+    let analysis = summarised(rows, &conventions, &bound.length_unit, bound.dimensions, sums.left);
     Ok(Streamed { analysis, warnings })
 }
 
@@ -242,8 +243,8 @@ fn summed(
             continue;
         }
         sums.rows += 1;
-        if trial.practice {
-            sums.practice += 1;
+        if !trial.counts() {
+            sums.left.add(&trial);
             continue;
         }
         bound.key(&row, &mut key);
@@ -251,12 +252,11 @@ fn summed(
         let out = match conventions.outliers {
             Outliers::Spatial => is_spatial(&trial, end),
             Outliers::Temporal => trial.temporal_outlier == Some(true),
-            Outliers::Misses => trial.error,
+            Outliers::Misses => trial.error == Some(true),
             _ => false,
         };
         let one = sums.of(&key, &trial)?;
-        one.sequence.trials += 1;
-        one.sequence.errors += u64::from(trial.error);
+        one.sequence.count(trial.error);
         if out {
             one.sequence.outliers += 1;
             continue;

@@ -133,7 +133,7 @@ pub(super) fn read(stem: &str, text: &str) -> Result<Imported, Error> {
                 start: Some(one.initial_position.into()),
                 end: one.final_position.into(),
                 mt_s: one.trial_duration,
-                error: one.missed_target,
+                error: Some(one.missed_target),
                 ..Trial::default()
             });
         }

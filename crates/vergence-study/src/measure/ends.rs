@@ -106,6 +106,8 @@ pub struct Sequence {
     pub trials: u64,
     /// Those that missed.
     pub errors: u64,
+    /// Those of which it is known whether they missed.
+    pub judged: u64,
     /// Those left out by the outlier policy.
     pub outliers: u64,
 }
@@ -122,6 +124,13 @@ impl Sequence {
         self.times.push(mt_s);
     }
 
+    /// Counts a trial that was not practice, whether it is analysed or left out.
+    pub fn count(&mut self, error: Option<bool>) {
+        self.trials += 1;
+        self.judged += u64::from(error.is_some());
+        self.errors += u64::from(error == Some(true));
+    }
+
     /// As if the trials of `other` had come after ours.
     pub fn merge(&mut self, other: &Self) {
         self.ends.merge(&other.ends);
@@ -131,6 +140,7 @@ impl Sequence {
         self.times.merge(&other.times);
         self.trials += other.trials;
         self.errors += other.errors;
+        self.judged += other.judged;
         self.outliers += other.outliers;
     }
 
@@ -160,7 +170,7 @@ impl Sequence {
         Ends {
             mt_s,
             mt_sd_s: self.times.sd(),
-            error_rate: (self.trials > 0).then(|| self.errors as f64 / self.trials as f64),
+            error_rate: (self.judged > 0).then(|| self.errors as f64 / self.judged as f64),
             x: effective(self.amplitudes.mean(), self.ends.sd()),
             xy: effective(self.straight.mean(), self.spread.sd(dimensions).filter(|_| dimensions > 1)),
             bias: self.ends.mean(),
@@ -191,7 +201,7 @@ pub struct Ends {
     pub mt_s: Option<f64>,
     /// Standard deviation of the movement times, seconds.
     pub mt_sd_s: Option<f64>,
-    /// Share of misses among all trials that were not practice.
+    /// Share of misses among all trials that were not practice; none where it is not known of any whether it missed.
     pub error_rate: Option<f64>,
     /// Along the axis.
     pub x: Effective,

@@ -11,7 +11,7 @@ use crate::trial::Trial;
 pub fn left_out(trials: &[(&Trial, Option<End>)], conventions: &Conventions) -> Vec<bool> {
     match conventions.outliers {
         Outliers::Keep => vec![false; trials.len()],
-        Outliers::Misses => trials.iter().map(|(trial, _)| trial.error).collect(),
+        Outliers::Misses => trials.iter().map(|(trial, _)| trial.error == Some(true)).collect(),
         Outliers::Spatial => trials.iter().map(|(trial, end)| is_spatial(trial, *end)).collect(),
         Outliers::Temporal => trials.iter().map(|(trial, _)| trial.temporal_outlier == Some(true)).collect(),
         Outliers::ThreeSd => {
@@ -37,7 +37,7 @@ pub fn is_spatial(trial: &Trial, end: Option<End>) -> bool {
     let planar = end.offset[1] != 0.0 || end.offset[2] != 0.0;
     let distance = end.offset.iter().map(|value| value * value).sum::<f64>().sqrt();
     let (reach, away) = if planar { (end.ae_xy, distance) } else { (end.ae.map(f64::abs), end.dx.abs()) };
-    trial.error && (reach.is_some_and(|reach| reach < 0.5 * amplitude) || away > 2.0 * width)
+    trial.error == Some(true) && (reach.is_some_and(|reach| reach < 0.5 * amplitude) || away > 2.0 * width)
 }
 
 fn three_sd(values: &[f64]) -> Option<(f64, f64)> {
@@ -75,7 +75,7 @@ mod tests {
             })
             .collect();
         trials[3].mt_s = 9.0;
-        trials[7].error = true;
+        trials[7].error = Some(true);
         let end = End { dx: 0.0, ae: Some(10.0), ae_xy: Some(10.0), offset: [0.0; 3] };
         let far = End { dx: 2.5, ae: Some(12.5), ae_xy: Some(12.5), offset: [2.5, 0.0, 0.0] };
         let pairs: Vec<(&Trial, Option<End>)> = trials

@@ -122,10 +122,11 @@ impl Check {
             return Ok(());
         }
         println!(
-            "{}: {conditions} conditions × {} instructions × {each} trials = {trials} trials, about {minutes:.0} minutes for each \
+            "{}: {conditions} conditions × {} instructions × {each} trials = {trials} trials, about {:.0} minutes for each \
              of {} participants; orders are balanced after every {balanced}",
             study.name,
             study.instructions.len(),
+            minutes.max(1.0).ceil(),
             study.participants
         );
         for warning in warnings {
@@ -374,10 +375,15 @@ impl Input {
 
     fn analysis(&self) -> Result<(Analysis, Option<Imported>, Vec<String>), Failure> {
         match self.read()? {
-            Found::Sums(analysis, notes) => Ok((*analysis, None, notes)),
+            Found::Sums(analysis, mut notes) => {
+                notes.extend(analysis.warnings.iter().cloned());
+                Ok((*analysis, None, notes))
+            }
             Found::Trials(all) => {
-                let notes = all.warnings.clone();
-                Ok((analyse(&all.data, &all.conventions), Some(all), notes))
+                let analysis = analyse(&all.data, &all.conventions);
+                let mut notes = all.warnings.clone();
+                notes.extend(analysis.warnings.iter().cloned());
+                Ok((analysis, Some(all), notes))
             }
         }
     }
@@ -424,11 +430,14 @@ impl Analyze {
             value.map_or_else(|| "–".to_owned(), |value| format!("{value:.decimals$}"))
         };
         println!(
-            "\n{} participants, {} sequences, {} trials, misses {} %",
-            analysis.participants(),
-            analysis.rows.len(),
-            analysis.trials(),
-            shown(analysis.error_rate().map(|rate| 100.0 * rate), 1)
+            "\n{} participants, {} sequences, {} trials, {}",
+            analysis.counts.participants,
+            analysis.counts.sequences,
+            analysis.counts.trials,
+            match analysis.error_rate() {
+                Some(rate) => format!("misses {:.1} %", 100.0 * rate),
+                None => "misses not known".to_owned(),
+            }
         );
         if analysis.conventions.difficulty == Difficulty::Steering {
             println!("tunnels: {} of A/W per second (mean of means)", shown(analysis.steering_rate(), 3));

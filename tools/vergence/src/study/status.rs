@@ -1,5 +1,6 @@
 //! `vergence study status` and `delete`: the folder of a study's data.
 
+use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use vergence_experiment::{Folder, Status as Found};
@@ -38,11 +39,12 @@ impl Status {
             );
             for one in &found.participants {
                 println!(
-                    "  {:<12} {:>5} of {} trials{}",
+                    "  {:<12} {:>5} of {} trials{}, {}",
                     one.participant,
                     one.trials,
                     one.planned,
-                    if one.finished { ", finished" } else { "" }
+                    if one.finished { ", finished" } else { "" },
+                    one.input
                 );
             }
             for finding in &found.findings {
@@ -67,14 +69,33 @@ pub struct Delete {
     /// Pseudonym
     #[arg(long, value_name = "NAME")]
     participant: String,
+    /// Do not ask (a terminal is asked otherwise)
+    #[arg(long)]
+    yes: bool,
 }
 
 impl Delete {
     /// Runs it.
     pub fn run(self) -> Result<(), Failure> {
         let mut folder = Folder::open(&self.dir).map_err(|error| failed(&error))?;
+        let own = || folder.sittings().iter().filter(|sitting| sitting.participant == self.participant);
+        let (logs, trials) = (own().count(), own().map(|sitting| sitting.trials).sum::<u64>());
+        if logs > 0 && !self.yes && std::io::stdin().is_terminal() {
+            eprint!(
+                "{}: {logs} logs with {trials} trials will be gone for ever. Delete them? [y/N] ",
+                self.participant
+            );
+            let mut answer = String::new();
+            let read = std::io::stdin().read_line(&mut answer);
+            if read.is_err() || !matches!(answer.trim(), "y" | "Y" | "yes") {
+                return Err(Failure::Call("nothing was deleted".to_owned()));
+            }
+        }
         let naming = folder.delete(&self.participant).map_err(|error| failed(&error))?;
-        println!("deleted");
+        println!("deleted: {logs} logs with {trials} trials");
+        eprintln!(
+            "what was made of them elsewhere (tables, reports, imports, recordings of whole sessions) still has them"
+        );
         for path in naming {
             eprintln!("{} still names them: make it anew, or remove it", path.display());
         }
