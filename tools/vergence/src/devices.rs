@@ -8,6 +8,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use vergence_input::Found;
+use vergence_log::Breaks;
 use vergence_sense::{Progress, Reading, Sample, Sink, Source, SourceStream};
 use vergence_session::{GazeSource, HeadsetChoice, RunConfig};
 use vergence_time::{Clock, HostClock, Span};
@@ -224,7 +225,7 @@ struct Seen {
 struct Screen {
     names: Vec<String>,
     seen: BTreeMap<usize, Seen>,
-    gaps: u64,
+    gaps: Breaks,
     /// The device will never say anything more.
     is_over: bool,
 }
@@ -239,8 +240,8 @@ impl Sink for Screen {
         let seen = self.seen.entry(stream).or_default();
         seen.count += 1;
         seen.delay_ms = sample.arrived.since(sample.captured).unwrap_or(Span::ZERO).as_millis_f64();
-        if matches!(&sample.value, Reading::Event(event) if event.name == "gap") {
-            self.gaps += 1;
+        if let Reading::Event(event) = &sample.value {
+            self.gaps.follow(event);
         }
         seen.value = words(&sample.value);
     }
@@ -350,7 +351,10 @@ fn draw(opened: &[Opened], screens: &mut [Screen], elapsed: f64) -> String {
     let mut text = format!("  {:24} {:>11} {:>11}  values\n", "stream", "rate", "latency");
     for (device, screen) in opened.iter().zip(screens) {
         let ended = if screen.is_over { ", ended" } else { "" };
-        text += &format!("{} ({}), {} gaps{ended}\n", device.device.name, device.device.path, screen.gaps);
+        let losses = device.source.losses().into_iter().filter(|(_, count)| *count > 0);
+        let losses: String = losses.map(|(way, count)| format!(", {count} {way}")).collect();
+        let (name, path, gaps) = (&device.device.name, &device.device.path, screen.gaps.count());
+        text += &format!("{name} ({path}), {gaps} gaps{losses}{ended}\n");
         for (place, seen) in &mut screen.seen {
             let stream = device.source.streams().get(*place);
             let (name, unit) = stream.map_or(("?", ""), |stream| (stream.name.as_str(), &*stream.unit));
