@@ -34,6 +34,12 @@ pub struct AxisNoise {
     pub instability: Option<f64>,
     /// Random walk of the bias, u/√s; `None` where the recording is too short to see it.
     pub walk: Option<f64>,
+    /// Standard deviations of density, instability and walk, as far as chance goes; 0 where there is none.
+    pub deviations: [f64; 3],
+    /// The averaging time from which the noises were fitted, s: below it a low-pass in the sensor takes noise away.
+    pub from_s: f64,
+    /// How far the curve is from the fit, in units of what chance does: beyond 3 there is something else than these noises.
+    pub misfit: f64,
     /// The lowest point of the curve: the best that a mean can do.
     pub floor: AllanPoint,
     /// The curve.
@@ -98,6 +104,34 @@ pub fn allan_deviation(samples: &[f64], rate_hz: f64) -> Vec<AllanPoint> {
     lengths.into_iter().map(point).collect()
 }
 
+/// Points over which the slope of the curve is taken: half a factor of ten.
+const SLOPE_POINTS: usize = 6;
+/// A curve that begins flatter than this begins with a low-pass in the sensor, or with something that no averaging takes away.
+const FLAT: f64 = -0.4;
+/// The slope that says that the low-pass is over; that of white noise is −1/2.
+const WHITE: f64 = -0.46;
+/// How many times the averaging time at which that begins the fit does.
+const CLEAR: f64 = 3.0;
+/// What the instability may exceed the least deviation by, beyond what flicker has there by itself.
+const MOST_INSTABILITY: f64 = 1.5;
+
+/// The part of the curve that no low-pass in the sensor bends: all of it, unless it begins flat and then falls as white noise does.
+fn unbent(curve: &[AllanPoint]) -> &[AllanPoint] {
+    let slope = |k: usize| {
+        let (a, b) = (&curve[k], &curve[k + SLOPE_POINTS]);
+        (b.deviation / a.deviation).ln() / (b.tau_s / a.tau_s).ln()
+    };
+    let last = curve.len().saturating_sub(SLOPE_POINTS);
+    if last == 0 || slope(0) <= FLAT {
+        return curve;
+    }
+    // NaN, where a deviation is zero, is no slope.
+    let Some(white) = (0..last).find(|k| slope(*k) <= WHITE) else { return curve };
+    // What the low-pass takes falls with the averaging time.
+    let from = curve.partition_point(|point| point.tau_s < CLEAR * curve[white].tau_s).min(last);
+    &curve[from..]
+}
+
 /// Solves the least squares for the terms in `used` (a bit each), others zero; with their standard errors.
 fn least_squares(curve: &[AllanPoint], weights: &[f64], used: u8) -> Option<([f64; 3], [f64; 3], f64)> {
     let mut products = nalgebra::Matrix3::zeros();
@@ -146,30 +180,62 @@ pub fn axis_noise(samples: &[f64], rate_hz: f64) -> Result<AxisNoise, Error> {
     let floor = floor.ok_or_else(|| unusable("a curve".into(), "none".into()))?;
     let mean = samples.iter().sum::<f64>() / samples.len() as f64;
     if floor.deviation <= 0.0 {
-        return Ok(AxisNoise { mean, density: 0.0, instability: None, walk: None, floor, curve });
+        let (deviations, from_s, misfit) = ([0.0; 3], curve[0].tau_s, 0.0);
+        let (instability, walk) = (None, None);
+        return Ok(AxisNoise {
+            mean,
+            density: 0.0,
+            instability,
+            walk,
+            deviations,
+            from_s,
+            misfit,
+            floor,
+            curve,
+        });
     }
     // Relative variance of each point: two over its degrees of freedom; neighbouring points share most of them.
     let length_s = samples.len() as f64 / rate_hz;
     let spacing = std::f64::consts::LN_10 / PER_DECADE;
     let trust = |tau_s: f64| 0.5 * (1.5 * length_s / tau_s - 1.0).max(1.0) * spacing;
-    let mut model: Vec<f64> = curve.iter().map(|p| p.deviation.powi(2)).collect();
-    let mut best = ([0.0; 3], [0.0; 3]);
-    for _ in 0..4 {
-        let weights: Vec<f64> = curve.iter().zip(&model).map(|(p, v)| trust(p.tau_s) / (v * v)).collect();
-        let allowed = |(found, _, _): &([f64; 3], [f64; 3], f64)| found.iter().all(|x| *x >= 0.0);
-        // A noise that is not needed is not there: each one must be worth its place (Akaike).
-        let fits = (1u8..8).filter_map(|used| {
-            let fit = least_squares(&curve, &weights, used)?;
-            allowed(&fit).then_some((fit.2 + 2.0 * f64::from(used.count_ones()), fit))
-        });
-        let Some((_, fit)) = fits.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-        best = (fit.0, fit.1);
-        let variance = |tau_s: f64| terms(tau_s).iter().zip(fit.0).map(|(t, x)| t * x).sum::<f64>();
-        model = curve.iter().map(|p| variance(p.tau_s).max(1e-6 * p.deviation.powi(2))).collect();
+    let part = unbent(&curve);
+    let fitted = |noises: &[u8]| {
+        let mut model: Vec<f64> = part.iter().map(|p| p.deviation.powi(2)).collect();
+        let mut best = ([0.0; 3], [0.0; 3], 0.0);
+        for _ in 0..4 {
+            let weights: Vec<f64> = part.iter().zip(&model).map(|(p, v)| trust(p.tau_s) / (v * v)).collect();
+            let allowed = |(found, _, _): &([f64; 3], [f64; 3], f64)| found.iter().all(|x| *x >= 0.0);
+            // A noise that is not needed is not there: each one must be worth its place (Akaike).
+            let fits = noises.iter().filter_map(|used| {
+                let fit = least_squares(part, &weights, *used)?;
+                allowed(&fit).then_some((fit.2 + 2.0 * f64::from(used.count_ones()), fit))
+            });
+            let Some((_, fit)) = fits.min_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+            best = fit;
+            let variance = |tau_s: f64| terms(tau_s).iter().zip(fit.0).map(|(t, x)| t * x).sum::<f64>();
+            model = part.iter().map(|p| variance(p.tau_s).max(1e-6 * p.deviation.powi(2))).collect();
+        }
+        best
+    };
+    let mut best = fitted(&[1, 2, 3, 4, 5, 6, 7]);
+    // Flicker has no less than this at any averaging time.
+    if best.0[1] * terms(1.0)[1] > (MOST_INSTABILITY * floor.deviation).powi(2) {
+        best = fitted(&[1, 4, 5]);
     }
     // Two standard errors: less may be chance.
     let seen = |i: usize| (best.0[i] > 2.0 * best.1[i]).then(|| best.0[i].sqrt());
-    Ok(AxisNoise { mean, density: best.0[0].sqrt(), instability: seen(1), walk: seen(2), floor, curve })
+    let deviation = |i: usize| if best.0[i] > 0.0 { 0.5 * best.1[i] / best.0[i].sqrt() } else { 0.0 };
+    Ok(AxisNoise {
+        mean,
+        density: best.0[0].sqrt(),
+        instability: seen(1),
+        walk: seen(2),
+        deviations: [0, 1, 2].map(deviation),
+        from_s: part[0].tau_s,
+        misfit: (best.2 / (part.len() as f64 * spacing)).sqrt(),
+        floor,
+        curve,
+    })
 }
 
 /// Noise of all axes from the longest rest of a recording. Missing samples are put in between their neighbours.
@@ -297,6 +363,61 @@ mod tests {
             walks += found / wandering / 3.0;
         }
         assert!((densities - 1.0).abs() < BAR && (walks - 1.0).abs() < BAR, "{densities} {walks}");
+    }
+
+    /// White noise of density one behind a low-pass of second order (Butterworth, by the bilinear transform), at 200 Hz for 600 s.
+    fn behind_low_pass(cutoff_hz: f64, seed: u64) -> Vec<f64> {
+        let dice = Dice::new(seed, 3);
+        let c = (std::f64::consts::PI * cutoff_hz / 200.0).tan();
+        let d = c * c + std::f64::consts::SQRT_2 * c + 1.0;
+        let (b, a1, a2) =
+            (c * c / d, 2.0 * (c * c - 1.0) / d, (1.0 - std::f64::consts::SQRT_2 * c + c * c) / d);
+        let (mut first, mut second) = (0.0, 0.0);
+        (0..120_000)
+            .map(|k| {
+                let x = dice.normal(k) * 200f64.sqrt();
+                let y = b * x + first;
+                first = 2.0 * b * x - a1 * y + second;
+                second = b * x - a2 * y;
+                y
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_low_pass_in_the_sensor_changes_no_density_and_makes_no_instability() {
+        for (seed, cutoff_hz) in [(1, 60.0), (2, 40.0), (3, 20.0), (4, 10.0), (5, 5.0), (6, 20.0), (7, 40.0)]
+        {
+            let noise = axis_noise(&behind_low_pass(cutoff_hz, seed), 200.0).unwrap();
+            let found = (noise.density, noise.deviations[0], noise.from_s, noise.misfit);
+            println!("{cutoff_hz} Hz: {found:.3?} {:?}", noise.instability);
+            assert!((noise.density - 1.0).abs() < BAR, "{cutoff_hz} Hz: {found:?}");
+            assert!(noise.instability.is_none() && noise.misfit < 3.0, "{cutoff_hz} Hz: {noise:?}");
+        }
+    }
+
+    #[test]
+    fn deviations_and_misfit_say_what_a_fit_is_worth() {
+        let (mut off, mut misfits) = (Vec::new(), Vec::new());
+        for seed in 0..12u64 {
+            let (white, walk) = (Dice::new(seed, 0), Dice::new(seed, 1));
+            let sample = |k: u64| white.normal(k) * 50f64.sqrt() + walk.walk(k) * 0.03 / 50f64.sqrt();
+            let samples: Vec<f64> = (0..50_000).map(sample).collect();
+            let noise = axis_noise(&samples, 50.0).unwrap();
+            off.push((noise.density - 1.0) / noise.deviations[0]);
+            misfits.push(noise.misfit);
+            if let Some(found) = noise.walk {
+                off.push((found - 0.03) / noise.deviations[2]);
+            }
+            // A vibration is none of the noises.
+            let shaken: Vec<f64> =
+                samples.iter().enumerate().map(|(k, x)| x + 10.0 * (0.05 * k as f64).sin()).collect();
+            let shaken = axis_noise(&shaken, 50.0).unwrap();
+            assert!(shaken.misfit > 3.0, "{}", shaken.misfit);
+        }
+        println!("{off:.2?} {misfits:.2?}");
+        assert!(off.iter().filter(|off| off.abs() > 3.0).count() <= 1, "{off:.2?}");
+        assert!(misfits.iter().all(|misfit| *misfit < 3.0), "{misfits:.2?}");
     }
 
     #[test]

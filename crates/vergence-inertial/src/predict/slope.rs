@@ -9,8 +9,10 @@ use super::{PredictPosition, PredictRotation, ahead_s, follows};
 /// Share of the slope that is believed by the damped method.
 pub(super) const DAMPED: f64 = 0.5;
 
-/// The slope is that of this much time before the last observation.
+/// The slope is that of this much time before the last observation, but of three observations at least where they are no further
+/// apart than the second.
 const WINDOW_S: f64 = 0.028;
+const LONGEST_S: f64 = 0.25;
 
 /// Most observations that a window holds; of faster ones, the last.
 const MOST: usize = 64;
@@ -38,7 +40,7 @@ impl Window {
         if self.length == 0 { Vector3::zeros() } else { self.rates[self.newest].1 }
     }
 
-    /// Of the rates of the window, per second; zero where there are fewer than three.
+    /// Of the rates of the window, per second; zero where fewer than three are near enough.
     fn slope(&self) -> Vector3<f64> {
         let now = self.rates[self.newest].0;
         let seen =
@@ -48,7 +50,9 @@ impl Window {
             });
         // Half a period of 1 kHz of room for jitter at the edge.
         let (mut n, mut t1, mut t2, mut r1, mut rt) = (0.0, 0.0, 0.0, Vector3::zeros(), Vector3::zeros());
-        for (t, rate) in seen.take_while(|(t, _)| *t > -WINDOW_S + 5e-4) {
+        let near =
+            |(k, (t, _)): &(usize, (f64, Vector3<f64>))| *t > -WINDOW_S + 5e-4 || (*k < 3 && *t > -LONGEST_S);
+        for (_, (t, rate)) in seen.enumerate().take_while(near) {
             n += 1.0;
             t1 += t;
             t2 += t * t;
@@ -141,5 +145,26 @@ impl PredictPosition for SlopePosition {
         let (last, position_m) = self.last?;
         let ahead_s = ahead_s(last, time);
         Some(position_m + self.window.mean_rate(ahead_s, self.slope_gain) * (self.gain * ahead_s))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use vergence_time::Span;
+
+    use super::*;
+
+    #[test]
+    fn slow_observations_have_a_slope_too() {
+        for (rate_hz, known) in [(286, true), (60, true), (25, true), (5, false)] {
+            let mut window = Window::new();
+            let period = Span::from_nanos(1_000_000_000 / rate_hz);
+            for k in 0..100 {
+                let t = k as f64 * period.as_secs_f64();
+                window.push(Timestamp::from_nanos(k * period.as_nanos()), Vector3::new(2.0 * t, 0.0, -t));
+            }
+            let expected = if known { Vector3::new(2.0, 0.0, -1.0) } else { Vector3::zeros() };
+            assert!((window.slope() - expected).norm() < 1e-9, "{rate_hz} Hz: {}", window.slope());
+        }
     }
 }

@@ -10,8 +10,9 @@ use crate::failure::Failure;
 
 /// Finds noise densities and bias instability from a recording at rest (Allan deviation), and draws the curves
 ///
-/// The longest rest of the recording is used. A minute tells the densities, hours the instability and the walk. Written to
-/// the folder: gyroscope.svg, accelerometer.svg, noise.html, noise.json.
+/// The longest rest of the recording is used. A minute tells the densities, hours the instability and the walk. Where a low-pass in
+/// the sensor bends the beginning of the curve, the noises are fitted to what comes after it. A misfit beyond 3 (1 is chance) says that
+/// there is something else than these noises, such as vibration: the numbers of that axis mean little. Written to the folder: gyroscope.svg, accelerometer.svg, noise.html, noise.json.
 #[derive(clap::Args)]
 pub struct Args {
     /// The recording: as for `imu run`
@@ -41,9 +42,22 @@ fn plot(title: &str, unit: &str, axes: &[AxisNoise; 3]) -> Plot {
 }
 
 fn table(noise: &ImuNoise) -> Table {
-    let titles =
-        ["sensor", "mean", "density (/√Hz)", "instability", "walk (/√s)", "least deviation", "at (s)"];
-    let mut table = Table::new(titles.iter().map(|title| Column::new(*title, 8)).collect());
+    let titles = [
+        ("sensor", 8),
+        ("mean", 8),
+        ("density (/√Hz)", 8),
+        ("±", 8),
+        ("instability", 8),
+        ("±", 8),
+        ("walk (/√s)", 8),
+        ("±", 8),
+        ("least deviation", 8),
+        ("at (s)", 3),
+        ("fitted from (s)", 3),
+        ("misfit", 1),
+    ];
+    let mut table = Table::new(titles.iter().map(|(title, places)| Column::new(*title, *places)).collect());
+    let known = |value: Option<f64>, deviation: f64| value.map_or(Cell::Empty, |_| Cell::Number(deviation));
     let optional = |value: Option<f64>| value.map_or(Cell::Text("not seen".to_owned()), Cell::Number);
     let rows = [("gyroscope", "rad/s", &noise.gyr), ("accelerometer", "m/s²", &noise.acc)];
     for (sensor, unit, axes) in rows {
@@ -53,10 +67,15 @@ fn table(noise: &ImuNoise) -> Table {
                     Cell::Text(format!("{sensor} {name} ({unit})")),
                     Cell::Number(axis.mean),
                     Cell::Number(axis.density),
+                    Cell::Number(axis.deviations[0]),
                     optional(axis.instability),
+                    known(axis.instability, axis.deviations[1]),
                     optional(axis.walk),
+                    known(axis.walk, axis.deviations[2]),
                     Cell::Number(axis.floor.deviation),
                     Cell::Number(axis.floor.tau_s),
+                    Cell::Number(axis.from_s),
+                    Cell::Number(axis.misfit),
                 ],
                 false,
             );
