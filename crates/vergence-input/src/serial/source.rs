@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use vergence_sense::{Event, Progress, Reading, Sample, Sink, Source, SourceStream};
+use vergence_sense::{Event, Progress, Sample, Sink, Source, SourceStream};
 use vergence_time::{Clock, ClockKnobs, ClockMap, ClockState, Counter, Span, Timestamp};
 
 use super::backlog::{Backlog, Ticks};
@@ -276,20 +276,6 @@ impl SerialSource {
         self.next_sequence = Some(sequence.wrapping_add(1) & mask);
     }
 
-    /// Gives a reading; `ticks` is the device's time, where it has one.
-    fn give(
-        &mut self,
-        place: usize,
-        sample: Sample<Reading<'static>>,
-        ticks: Option<Ticks>,
-        sink: &mut dyn Sink,
-    ) {
-        if let Some(backlog) = &mut self.backlog {
-            backlog.push(ticks);
-        }
-        sink.take(place, sample);
-    }
-
     /// Takes the frames that have arrived; whether anything was given.
     fn take_frames(&mut self, arrived: Timestamp, sink: &mut dyn Sink) -> bool {
         let mut gave = false;
@@ -306,16 +292,22 @@ impl SerialSource {
             } else {
                 let captured = self.map.map(u64::from(time_us), arrived);
                 let length = frame.payload.len();
-                let read = self.known[number]
+                let mut is_strange = false;
+                match self.known[number]
                     .as_ref()
-                    .map(|known| (known.place, known.description.read(frame.payload)));
-                match read {
+                    .map(|known| (known.place, known.description.read(frame.payload)))
+                {
                     Some((place, Payload::Value(value))) => {
-                        let ticks = Some(Ticks::Micros32(time_us));
-                        self.give(place, Sample { captured, arrived, value }, ticks, sink);
+                        if let Some(backlog) = &mut self.backlog {
+                            backlog.push(Some(Ticks::Micros32(time_us)));
+                        }
+                        sink.take(place, Sample { captured, arrived, value });
                     }
                     Some((_, Payload::Nothing)) => {}
-                    Some((_, Payload::Misfit)) | None => self.strange(number, length, arrived, sink),
+                    Some((_, Payload::Misfit)) | None => is_strange = true,
+                }
+                if is_strange {
+                    self.strange(number, length, arrived, sink);
                 }
             }
             gave = true;
