@@ -36,6 +36,8 @@ pub struct Streamed {
 #[derive(Default)]
 struct Sums {
     groups: HashMap<Vec<u8>, usize>,
+    /// The place of the row before: nearly always that of this one, which then needs no hash.
+    last: usize,
     sequences: Vec<(Vec<u8>, One)>,
     left: Left,
     absent: u64,
@@ -65,6 +67,9 @@ impl One {
 
 impl Sums {
     fn of(&mut self, key: &[u8], trial: &Trial) -> Result<&mut One, Error> {
+        if self.sequences.get(self.last).is_some_and(|(own, _)| own == key) {
+            return Ok(&mut self.sequences[self.last].1);
+        }
         let place = match self.groups.get(key) {
             Some(place) => *place,
             None => {
@@ -82,6 +87,7 @@ impl Sums {
                 self.sequences.len() - 1
             }
         };
+        self.last = place;
         Ok(&mut self.sequences[place].1)
     }
 
