@@ -2,10 +2,11 @@
 //! headset, and on nothing at all.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{BufRead as _, BufReader, Write};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::time::Duration;
 
 use nalgebra::{Point3, Vector3};
@@ -14,6 +15,7 @@ use vergence_input::hid::{HidSource, Mapping, Reports};
 use vergence_input::serial::frame::Frame;
 use vergence_log::{LogSource, Reader};
 use vergence_sense::{Gaze, Progress, Reading, ReadingKind, Sample, Source, SourceStream};
+use vergence_sim::gamepad::{Gamepad, Held, Params, button};
 use vergence_tests::{last_object, skip, vergence};
 use vergence_time::{Clock, HandClock, Span, Timestamp};
 
@@ -317,4 +319,146 @@ fn the_gaze_of_a_headset_and_of_an_eye_tracker_are_one_kind_of_stream() {
     let output = record("gaze:no such motion", &folder.path().join("none.mcap"));
     let err = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.code() == Some(2) && err.contains("no such motion"), "{err}");
+}
+
+/// A simulated pad on a serial line, and whose buttons are down there.
+struct Pad {
+    buttons: Arc<AtomicU16>,
+    is_over: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Pad {
+    fn on(mut line: TTYPort) -> Self {
+        let (buttons, is_over) = (Arc::new(AtomicU16::new(0)), Arc::new(AtomicBool::new(false)));
+        let (pressed, ends) = (buttons.clone(), is_over.clone());
+        let thread = std::thread::spawn(move || {
+            let pad = Gamepad::new(1, &Params::default()).expect("a pad");
+            let start = std::time::Instant::now();
+            let mut sequence = 0u16;
+            while !ends.load(Ordering::Relaxed) {
+                let time = start.elapsed();
+                let held = Held { buttons: pressed.load(Ordering::Relaxed), ..Held::default() };
+                let report = pad.report(Timestamp::from_nanos(time.as_nanos() as i64), &held);
+                let down = u16::from_le_bytes([report[2], report[3]]);
+                let is_down = |button: u16| [u8::from(down & button != 0)];
+                let (south, east) = (is_down(button::SOUTH), is_down(button::EAST));
+                let frames: [(u8, &[u8]); 6] = [
+                    (0, b"\x01south button u8"),
+                    (0, b"\x02east button u8"),
+                    (0, b"\x03left_stick vector2 i16 0.0000305"),
+                    (1, &south),
+                    (2, &east),
+                    (3, &report[6..10]),
+                ];
+                let mut bytes = Vec::new();
+                for (stream, payload) in frames {
+                    let time_us = time.as_micros() as u32;
+                    Frame { stream, sequence, time_us, payload }.encode(&mut bytes);
+                    sequence = sequence.wrapping_add(1);
+                }
+                // Where nobody reads it yet, what does not fit is lost, as on a wire.
+                drop(line.write_all(&bytes));
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        });
+        Self { buttons, is_over, thread: Some(thread) }
+    }
+}
+
+impl Drop for Pad {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        drop(self.thread.take().map(std::thread::JoinHandle::join));
+    }
+}
+
+/// Ends it, however the test ends.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
+}
+
+#[test]
+fn bindings_are_at_work_on_a_simulated_pad_and_change_with_their_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("bindings.toml");
+    let (line, mut terminal) = TTYPort::pair().expect("a pseudo terminal");
+    terminal.set_exclusive(false).expect("others may open it");
+    let port = terminal.name().expect("a terminal has a path");
+    let held = File::open(&port).expect("a terminal");
+    drop(terminal);
+    let device = port.trim_matches('/').replace('/', "_");
+    let bind = |jump: &str, fire: &str| {
+        let action = |name: &str, input: &str| {
+            format!(
+                "[actions.{name}]\nkind = \"button\"\nbind = [{{ input = \"device.{device}.{input}\" }}]\n"
+            )
+        };
+        let text = action("jump", jump) + &action("fire", fire);
+        std::fs::write(&path, &text).expect("written");
+        text
+    };
+    bind("south", "east");
+    let tool = vergence();
+    let pad = Pad::on(line);
+    let mut child = Command::new(&tool)
+        .args(["devices", "monitor", &format!("serial:{port}"), "--bindings"])
+        .arg(&path)
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("the tool starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+    let mut running = Running(child);
+    let mut seen = Vec::new();
+    // Waits for a line that has all of these words: the monitor draws once a second, for as long as it runs.
+    let mut until = |words: &[&str]| {
+        for _ in 0..2_000 {
+            let line = lines.next().unwrap_or_else(|| panic!("it ended: {seen:#?}")).expect("text");
+            let is_it = words.iter().all(|word| line.contains(word));
+            seen.push(line);
+            if is_it {
+                return;
+            }
+        }
+        panic!("expected {words:?}, found {:#?}", &seen[seen.len() - 30..]);
+    };
+    until(&["jump", "released"]);
+    pad.buttons.store(button::SOUTH, Ordering::Relaxed);
+    until(&["jump", "pressed"]);
+    until(&["fire", "released"]);
+    // What is held does nothing new until it is pressed again; then it does the other action.
+    let swapped = bind("east", "south");
+    until(&["bindings.toml, read 2 times"]);
+    pad.buttons.store(0, Ordering::Relaxed);
+    until(&["  south ", "Hz", "released"]);
+    until(&["fire", "button", " 0  released"]);
+    pad.buttons.store(button::SOUTH, Ordering::Relaxed);
+    until(&["fire", "pressed"]);
+    until(&["jump", "released"]);
+    // Both on one button: a conflict, in a sentence.
+    bind("south", "south");
+    until(&["conflict:", ".south does both \"fire\" and \"jump\""]);
+    std::fs::write(&path, swapped.replace("button", "lever")).expect("written");
+    until(&["not read:", "bindings.toml:"]);
+    bind("north", "south");
+    until(&["no device here has", ".north"]);
+    assert!(running.0.try_wait().expect("a process").is_none(), "it still runs");
+    drop(running);
+    drop((pad, held));
+
+    let check = |text: &str| {
+        std::fs::write(&path, text).expect("written");
+        let output = Command::new(vergence()).args(["devices", "bindings"]).arg(&path).output();
+        let output = output.expect("the tool starts");
+        (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned())
+    };
+    let (status, out) = check(&swapped);
+    assert!(status == Some(0) && out.lines().count() == 2 && out.contains("jump"), "{status:?} {out}");
+    let (status, out) = check(&bind("south", "south"));
+    assert!(status == Some(1) && out.contains("does both"), "{status:?} {out}");
 }

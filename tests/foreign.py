@@ -37,6 +37,15 @@ assert len(imu) == len(original)
 for ours, theirs in [("gyr_rad_s.x", "gyr_x"), ("acc_m_s2.z", "acc_z"), ("mag_ut.y", "mag_y")]:
     assert imu[ours].tolist() == original[theirs].tolist(), ours
 
+truth = frames("broad", "truth")
+assert len(truth) == len(original) and original["gt_px"].notna().sum() > original["gt_qw"].notna().sum() > 50000
+for axis in "xyz":
+    pairs = zip(truth[f"pose.position.{axis}"].tolist(), original[f"gt_p{axis}"].tolist())
+    assert all(same(ours, theirs) for ours, theirs in pairs), axis
+for axis in "xyzw":
+    pairs = zip(truth[f"pose.orientation.{axis}"].tolist(), original[f"gt_q{axis}"].tolist())
+    assert all(same(ours, theirs) for ours, theirs in pairs), axis
+
 markers = frames("xdf", "MyMarkerStream")
 samples = frames("xdf", "BioSemi")
 assert (len(markers), len(samples)) == (175, 27815)

@@ -247,6 +247,9 @@ pub enum Error {
     /// A change that makes no sense.
     #[error("{0}")]
     Change(String),
+    /// A filter's knob is out of its range.
+    #[error(transparent)]
+    Knob(#[from] crate::filter::KnobError),
     /// Bindings cannot be written as TOML.
     #[error("bindings cannot be written: {0}")]
     Write(#[from] toml::ser::Error),
@@ -266,12 +269,17 @@ impl Bindings {
     /// # Errors
     /// As [`Bindings::parse`], and where it cannot be read.
     pub fn read(path: &Path) -> Result<Self, Error> {
+        Self::parse(path, &Self::text(path)?)
+    }
+
+    /// What is in the file.
+    pub(crate) fn text(path: &Path) -> Result<String, Error> {
         let io = |source| vergence_config::Error::Io { path: path.to_owned(), source };
         let found = std::fs::metadata(path).map_err(io)?.len();
         if found > vergence_config::MAX_FILE_BYTES {
             return Err(vergence_config::Error::TooLarge { path: path.to_owned(), found }.into());
         }
-        Self::parse(path, &std::fs::read_to_string(path).map_err(io)?)
+        Ok(std::fs::read_to_string(path).map_err(io)?)
     }
 
     /// Reads text, naming `path` in errors.

@@ -6,15 +6,19 @@ mod curve;
 mod dead_zone;
 pub mod filter;
 mod layout;
+mod live;
 mod mapper;
 mod profile;
+mod wiring;
 
 pub use bindings::{Bind, Bindings, BoundAction, Chooses, Conflict, Error, Logical, Watched};
 pub use curve::Curve;
 pub use dead_zone::{DeadZone, DeadZoneError, Rest, Shape};
 pub use layout::{InputKind, Layout, input_kind, label, labelled};
+pub use live::{Change, LiveBindings};
 pub use mapper::{InputId, Mapper, Reading, Value};
 pub use profile::{PROFILES, Profile, Suggestion, suggestions};
+pub use wiring::Wiring;
 
 /// Something that the user can do, with either hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -115,6 +115,8 @@ pub struct Mapper {
     by_action: Vec<Vec<usize>>,
     actions: Vec<(String, Logical, usize)>,
     values: Vec<Value>,
+    /// How often each has changed.
+    changes: Vec<u64>,
     sets: Vec<(String, bool)>,
     options: Vec<usize>,
     changed: Vec<usize>,
@@ -134,6 +136,7 @@ impl Mapper {
             by_action: Vec::new(),
             actions: Vec::new(),
             values: Vec::new(),
+            changes: Vec::new(),
             sets: Vec::new(),
             options: Vec::new(),
             changed: Vec::new(),
@@ -145,6 +148,7 @@ impl Mapper {
             });
             mapper.actions.push((bound.name.clone(), bound.kind, set));
             mapper.values.push(at_rest(bound.kind));
+            mapper.changes.push(0);
             mapper.options.push(bound.options.len());
             let mut own = Vec::with_capacity(bound.binds.len());
             for bind in &bound.binds {
@@ -268,6 +272,11 @@ impl Mapper {
     /// What an action is now.
     pub fn value(&self, action: usize) -> Option<&Value> {
         self.values.get(action)
+    }
+
+    /// How often an action has changed since these bindings are at work.
+    pub fn changes(&self, action: usize) -> u64 {
+        self.changes.get(action).copied().unwrap_or(0)
     }
 
     /// Switches a set on or off: actions of a set that is off are at rest. Gives the actions that changed.
@@ -466,6 +475,7 @@ impl Mapper {
         }
         if is_new {
             self.values[action] = next;
+            self.changes[action] += 1;
             if !self.changed.contains(&action) {
                 self.changed.push(action);
             }

@@ -291,7 +291,8 @@ fn simulated(index: usize, seed: u64) -> Result<Recording, Box<dyn Error>> {
         imu.mag_ut = imu.mag_ut.map(|mag| mag + uneven);
         recording.samples.push((at, imu));
         let movement = rests_s.iter().all(|(from, to)| !(from - 1.0..to + 1.0).contains(&t));
-        recording.truth.push(Truth { earth_from_sensor: Some(true_pose.rotation), movement });
+        let earth_from_sensor = Some(true_pose.rotation);
+        recording.truth.push(Truth { earth_from_sensor, movement, ..Truth::default() });
     }
     Ok(recording)
 }

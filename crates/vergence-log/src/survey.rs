@@ -81,6 +81,8 @@ pub struct StreamSurvey {
     pub missing: u64,
     /// From capture to arrival.
     pub delay: Option<Delay>,
+    /// What else the file says of it: a foreign recording's columns and axes, a device's range.
+    pub notes: BTreeMap<String, String>,
 }
 
 /// How arrival follows capture: `arrived − captured = mean + drift · captured + residual`.
@@ -219,6 +221,12 @@ impl Watched {
     }
 }
 
+/// What a stream's metadata say beyond what has a place of its own in [`StreamSurvey`].
+fn notes(metadata: &BTreeMap<String, String>) -> BTreeMap<String, String> {
+    let is_said = |key: &str| ["type", "unit", "frame", "clock", "version"].contains(&key);
+    metadata.iter().filter(|(key, _)| !is_said(key)).map(|(k, v)| (k.clone(), v.clone())).collect()
+}
+
 #[derive(Debug, Default)]
 struct Findings {
     kept: Vec<Finding>,
@@ -312,6 +320,7 @@ impl Survey {
                     longest_gap_s: seen.longest as f64 * 1e-9,
                     missing: seen.missing,
                     delay: seen.line.delay(),
+                    notes: notes(&info.metadata),
                 }
             })
             .collect();

@@ -196,7 +196,7 @@ fn fuzz_csv() {
         b"t_s\tevent\n0\tbegin\n1\tend\n".to_vec(),
     ];
     for example in &examples {
-        assert!(Table::parse(example).is_ok(), "the examples are well");
+        assert!(Table::parse(example, None).is_ok(), "the examples are well");
     }
     let words: [&[u8]; 12] = [
         b",",
@@ -215,7 +215,7 @@ fn fuzz_csv() {
     let mut good = 0;
     fuzz("CSV", |dice| {
         let bytes = dice.changed(&examples, &words);
-        let Ok(table) = Table::parse(&bytes) else { return };
+        let Ok(table) = Table::parse(&bytes, None) else { return };
         let rows = table.captured.len();
         assert!(rows <= bytes.len() && table.arrived.is_none_or(|all| all.len() == rows));
         for column in &table.columns {

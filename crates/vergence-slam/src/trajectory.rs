@@ -41,7 +41,24 @@ impl Trajectory {
         Self::parse(&read_text(path)?, path)
     }
 
+    /// Reads the same from `text`, and keeps the numbers of each quaternion as they are written: their length is 1 only as far as their
+    /// digits go. For writing them elsewhere, not for reckoning with them. Errors begin with `path`.
+    ///
+    /// # Errors
+    /// Those of [`Trajectory::read`].
+    pub fn parse_as_written(text: &str, path: &Path) -> Result<Self, Error> {
+        Self::parse_with(text, path, UnitQuaternion::new_unchecked)
+    }
+
     pub(crate) fn parse(text: &str, path: &Path) -> Result<Self, Error> {
+        Self::parse_with(text, path, UnitQuaternion::new_normalize)
+    }
+
+    fn parse_with(
+        text: &str,
+        path: &Path,
+        rotation_of: fn(Quaternion<f64>) -> UnitQuaternion<f64>,
+    ) -> Result<Self, Error> {
         let mut poses: Vec<(Timestamp, Rigid)> = Vec::new();
         for (index, line) in text.lines().enumerate() {
             let content = line.trim();
@@ -91,8 +108,7 @@ impl Trajectory {
             if (q.norm() - 1.0).abs() > 0.01 {
                 return Err(wrong(5, "a quaternion of unit length", &format!("length {}", q.norm())));
             }
-            let rotation = UnitQuaternion::new_normalize(q);
-            poses.push((at, Rigid::from_parts(nalgebra::Vector3::new(x, y, z).into(), rotation)));
+            poses.push((at, Rigid::from_parts(nalgebra::Vector3::new(x, y, z).into(), rotation_of(q))));
         }
         if poses.is_empty() {
             return Err(Error::file(path, "poses", "none"));

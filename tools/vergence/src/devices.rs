@@ -9,10 +9,11 @@ use std::time::Instant;
 
 use vergence_input::Found;
 use vergence_log::Breaks;
-use vergence_sense::{Progress, Reading, Sample, Sink, Source, SourceStream};
+use vergence_sense::{Pose, Progress, Reading, Sample, Sink, Source, SourceStream};
 use vergence_session::{GazeSource, HeadsetChoice, RunConfig};
 use vergence_time::{Clock, HostClock, Span};
 
+use crate::bindings::{Actions, Check};
 use crate::failure::Failure;
 
 /// Lists the devices that are plugged in, shows what they say
@@ -33,8 +34,9 @@ enum Verb {
         #[arg(long)]
         json: bool,
     },
-    /// Values, rates, gaps, latency and clock of devices, as they come; ends with Ctrl-C
+    /// Values, rates, gaps, latency and clock of devices, as they come, and with --bindings what actions are; ends with Ctrl-C
     Monitor(Monitor),
+    Bindings(Check),
 }
 
 #[derive(clap::Args)]
@@ -47,6 +49,10 @@ struct Monitor {
     /// are in crates/vergence-input/MAPPING.md
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Shows the actions of these bindings (TOML), too: what they are, how often they changed, conflicts. The file may be changed
+    /// meanwhile; its keys are in crates/vergence-action/README.md
+    #[arg(long, value_name = "FILE")]
+    bindings: Option<PathBuf>,
     /// Ends after so many seconds [default: with Ctrl-C]
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     seconds: Option<f64>,
@@ -66,6 +72,7 @@ impl Args {
         match self.verb {
             Verb::List { config, json } => list(config.as_ref(), json),
             Verb::Monitor(monitor) => monitor.run(),
+            Verb::Bindings(check) => check.run(),
         }
     }
 }
@@ -130,13 +137,20 @@ pub fn open(
     clock: &Arc<dyn Clock>,
 ) -> Result<Vec<Opened>, Failure> {
     let config = config.map(|path| vergence_input::Config::read(path)).transpose().map_err(|e| failed(&e))?;
-    let config = config.unwrap_or_default();
+    open_with(names, &config.unwrap_or_default(), clock)
+}
+
+fn open_with(
+    names: &[String],
+    config: &vergence_input::Config,
+    clock: &Arc<dyn Clock>,
+) -> Result<Vec<Opened>, Failure> {
     let devices: Vec<Found> = if names.is_empty() {
-        vergence_input::found(&config).into_iter().filter(|device| device.problem.is_none()).collect()
+        vergence_input::found(config).into_iter().filter(|device| device.problem.is_none()).collect()
     } else {
         let each = names.iter().map(|name| match eyes(name) {
             Some(found) => Ok(found),
-            None => vergence_input::find(name, &config),
+            None => vergence_input::find(name, config),
         });
         each.collect::<Result<_, _>>().map_err(|error| failed(&error))?
     };
@@ -147,7 +161,7 @@ pub fn open(
             opened.push(Opened { name: unused(&opened, GAZE), device, source });
             continue;
         }
-        let source = match vergence_input::open(&device, &config, clock.clone()) {
+        let source = match vergence_input::open(&device, config, clock.clone()) {
             Ok(source) => source,
             Err(error) if names.is_empty() => {
                 eprintln!("vergence: {error}");
@@ -247,12 +261,26 @@ impl Sink for Screen {
     }
 }
 
+/// Numbers in a few words.
+pub fn listed(values: &[f64]) -> String {
+    let each: Vec<String> = values.iter().map(|value| format!("{value:.4}")).collect();
+    each.join(" ")
+}
+
+/// A pose in a few words.
+pub fn pose_words(pose: &Pose) -> String {
+    pose.reference_from_device().map_or_else(
+        || "lost".into(),
+        |rigid| {
+            let (p, q) = (rigid.translation.vector, rigid.rotation.coords);
+            format!("{}  {}", listed(p.as_slice()), listed(q.as_slice()))
+        },
+    )
+}
+
 /// A reading in a few words.
 pub fn words(reading: &Reading<'_>) -> String {
-    let list = |values: &[f64]| {
-        let each: Vec<String> = values.iter().map(|value| format!("{value:.4}")).collect();
-        each.join(" ")
-    };
+    let list = listed;
     match reading {
         Reading::Button(button) => match button.0 {
             Some(true) => "pressed".into(),
@@ -273,16 +301,7 @@ pub fn words(reading: &Reading<'_>) -> String {
             list(imu.acc_m_s2.as_slice()),
             imu.mag_ut.map_or_else(String::new, |mag| format!("  mag {}", list(mag.as_slice())))
         ),
-        Reading::Pose(pose) => pose.reference_from_device().map_or_else(
-            || "lost".into(),
-            |rigid| {
-                format!(
-                    "{}  {}",
-                    list(rigid.translation.vector.as_slice()),
-                    list(rigid.rotation.coords.as_slice())
-                )
-            },
-        ),
+        Reading::Pose(pose) => pose_words(pose),
         Reading::Gaze(gaze) => gaze.map_or_else(
             || "lost".into(),
             |gaze| format!("{}  {}", list(gaze.origin.coords.as_slice()), list(gaze.direction.as_slice())),
@@ -297,10 +316,42 @@ pub fn words(reading: &Reading<'_>) -> String {
     }
 }
 
+/// A screen, and what the device does by the bindings.
+struct Watched<'a> {
+    screen: &'a mut Screen,
+    actions: Option<(usize, &'a mut Actions)>,
+}
+
+impl Sink for Watched<'_> {
+    fn appears(&mut self, place: usize, stream: &SourceStream) {
+        self.screen.appears(place, stream);
+        if let Some((device, actions)) = &mut self.actions {
+            actions.appears(*device, place, stream);
+        }
+    }
+
+    fn take(&mut self, stream: usize, sample: Sample<Reading<'_>>) {
+        if let Some((device, actions)) = &mut self.actions {
+            actions.take(*device, stream, &sample);
+        }
+        self.screen.take(stream, sample);
+    }
+}
+
+/// Rows that a terminal has.
+const ROWS: u16 = 24;
+
 impl Monitor {
     fn run(&self) -> Result<(), Failure> {
         let clock: Arc<dyn Clock> = Arc::new(HostClock::start());
-        let mut opened = open(&self.devices, self.config.as_ref(), &clock)?;
+        let config = self.config.as_ref().map(|path| vergence_input::Config::read(path)).transpose();
+        let mut config = config.map_err(|error| failed(&error))?.unwrap_or_default();
+        let mut actions = self.bindings.as_deref().map(Actions::read).transpose()?;
+        config.desktop.extra_mouse_buttons |= actions.as_ref().is_some_and(Actions::extra_mouse_buttons);
+        let mut opened = open_with(&self.devices, &config, &clock)?;
+        if let Some(actions) = &mut actions {
+            actions.wire(&opened);
+        }
         let stop = interrupted()?;
         let mut screens: Vec<Screen> = opened.iter().map(|_| Screen::default()).collect();
         let start = Instant::now();
@@ -314,15 +365,22 @@ impl Monitor {
                 || self.seconds.is_some_and(|seconds| start.elapsed().as_secs_f64() >= seconds)
         };
         while !is_over(left) {
-            for (device, screen) in opened.iter_mut().zip(&mut screens).filter(|(_, screen)| !screen.is_over)
-            {
+            if let Some(actions) = &mut actions {
+                actions.advance(clock.now());
+            }
+            for (place, (device, screen)) in opened.iter_mut().zip(&mut screens).enumerate() {
+                if screen.is_over {
+                    continue;
+                }
+                let mut watched =
+                    Watched { screen: &mut *screen, actions: actions.as_mut().map(|own| (place, own)) };
                 let until = clock.now().saturating_add(share);
                 while clock.now() < until {
-                    match device.source.advance(until, screen) {
+                    match device.source.advance(until, &mut watched) {
                         Progress::Gave => {}
                         Progress::Idle => break,
                         Progress::Ended => {
-                            (screen.is_over, left) = (true, left - 1);
+                            (watched.screen.is_over, left) = (true, left - 1);
                             break;
                         }
                     }
@@ -330,7 +388,17 @@ impl Monitor {
             }
             let elapsed = drawn_at.elapsed().as_secs_f64();
             if left == 0 || elapsed >= if live { 0.25 } else { 1.0 } {
-                let text = draw(&opened, &mut screens, elapsed);
+                let mut text = draw(&opened, &mut screens, elapsed);
+                if let Some(actions) = &actions {
+                    // In sight where not all fits.
+                    text = actions.draw() + &text;
+                }
+                if live {
+                    // What is above the top cannot be drawn over.
+                    let size = rustix::termios::tcgetwinsize(std::io::stdout());
+                    let rows = size.map_or(ROWS, |size| size.ws_row).max(2);
+                    text = text.lines().take(usize::from(rows) - 1).flat_map(|line| [line, "\n"]).collect();
+                }
                 let up = if live && lines > 0 { format!("\x1b[{lines}A\x1b[J") } else { String::new() };
                 lines = text.lines().count();
                 // A row that is wider than the terminal is cut: one that is wrapped would be two.

@@ -1,6 +1,8 @@
 //! `vergence log`: what is in a session log, whether it is well, and other logs made out of it.
 
+mod euroc;
 mod export;
+mod gather;
 mod import;
 mod table;
 
@@ -228,6 +230,23 @@ fn table(survey: &Survey) {
             stream.count,
             stream.bytes
         );
+    }
+    let noted: Vec<_> = survey.streams.iter().filter(|stream| !stream.notes.is_empty()).collect();
+    if !noted.is_empty() {
+        println!("\n{:width$}  note", "stream");
+    }
+    for stream in noted {
+        /// A recording may have thousands of columns.
+        const SHOWN: usize = 40;
+        for (key, value) in stream.notes.iter().take(SHOWN) {
+            match value.chars().nth(200) {
+                None => println!("{:width$}  {key} = {value}", stream.name),
+                Some(_) => println!("{:width$}  {key}: {} characters, with --json", stream.name, value.len()),
+            }
+        }
+        if stream.notes.len() > SHOWN {
+            println!("{:width$}  and {} more, with --json", stream.name, stream.notes.len() - SHOWN);
+        }
     }
 }
 

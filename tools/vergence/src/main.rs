@@ -4,6 +4,7 @@
 //! for people, or with `--json` one object as the last thing on stdout. Logs and progress go to stderr. Exit status:
 //! 0 done, 1 the work failed, 2 the call was wrong.
 
+mod bindings;
 mod devices;
 mod doctor;
 mod failure;

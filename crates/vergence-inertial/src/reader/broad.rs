@@ -13,8 +13,7 @@ use crate::{Error, Unit};
 const NEEDED: [&str; 7] = ["t_s", "gyr_x", "gyr_y", "gyr_z", "acc_x", "acc_y", "acc_z"];
 const MAG: [&str; 3] = ["mag_x", "mag_y", "mag_z"];
 const TRUTH: [&str; 4] = ["gt_qw", "gt_qx", "gt_qy", "gt_qz"];
-/// Columns that may be there and are not used.
-const UNUSED: [&str; 3] = ["gt_px", "gt_py", "gt_pz"];
+const POSITION: [&str; 3] = ["gt_px", "gt_py", "gt_pz"];
 
 /// Where columns of these names stand; `None` where none of them is there.
 fn places<const N: usize>(table: &Table, names: [&str; N]) -> Result<Option<[usize; N]>, Error> {
@@ -65,7 +64,7 @@ pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
         return Err(table.content(1, 1, expected, format!("'{}'", table.header().join(","))));
     };
     for (index, name) in table.header().iter().enumerate() {
-        let known = [&NEEDED[..], &MAG, &TRUTH, &UNUSED, &["movement"]].concat();
+        let known = [&NEEDED[..], &MAG, &TRUTH, &POSITION, &["movement"]].concat();
         if !known.contains(&name.as_str()) || table.header()[..index].contains(name) {
             let expected = format!("each of {} at most once", known.join(","));
             return Err(table.content(1, index + 1, &expected, format!("'{name}'")));
@@ -73,6 +72,7 @@ pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
     }
     let mag = places(table, MAG)?;
     let truth = places(table, TRUTH)?;
+    let position = places(table, POSITION)?;
     let movement = places(table, ["movement"])?;
     let mut recording = Recording { unit: Unit::Broad, ..Recording::default() };
     let mut values = Vec::new();
@@ -89,10 +89,13 @@ pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
         recording.samples.push((at, imu));
         if let Some([w, x, y, z]) = truth {
             let q = Quaternion::new(values[w], values[x], values[y], values[z]);
-            // NaN is where the cameras lost the board.
+            // NaN is where the cameras lost the board, or a marker that its orientation needs.
+            let earth_from_sensor =
+                UnitQuaternion::try_new(q, 1e-6).filter(|q| q.coords.iter().all(|v| v.is_finite()));
             recording.truth.push(Truth {
-                earth_from_sensor: UnitQuaternion::try_new(q, 1e-6)
-                    .filter(|q| q.coords.iter().all(|v| v.is_finite())),
+                earth_from_sensor,
+                as_written: earth_from_sensor.map(|_| q),
+                position_m: position.map(vector).filter(|p| p.iter().all(|v| v.is_finite())),
                 movement: movement.is_none_or(|[place]| values[place] != 0.0),
             });
         }

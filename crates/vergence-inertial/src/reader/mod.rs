@@ -7,7 +7,7 @@ mod tum;
 
 use std::path::Path;
 
-use nalgebra::UnitQuaternion;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use vergence_sense::Imu;
 use vergence_time::{Span, Timestamp};
 
@@ -29,10 +29,14 @@ pub struct Recording {
 }
 
 /// What the cameras saw at one sample.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Truth {
     /// The true orientation in the ENU earth frame, where it was seen.
     pub earth_from_sensor: Option<UnitQuaternion<f64>>,
+    /// The same with the digits of the file, whose length is 1 only as far as these go.
+    pub as_written: Option<Quaternion<f64>>,
+    /// The true position in the ENU earth frame, metres, where it was seen; also where the orientation was not.
+    pub position_m: Option<Vector3<f64>>,
     /// Whether this sample is scored.
     pub movement: bool,
 }
@@ -42,7 +46,7 @@ pub struct Truth {
 pub const RATES_HZ: (f64, f64) = (5.0, 50_000.0);
 
 impl Recording {
-    /// Reads a recording: a table `t_s,gyr_x,…,acc_z[,mag_x,…][,gt_qw,…][,movement]` (rad/s, m/s², µT; BROAD's style) or
+    /// Reads a recording: a table `t_s,gyr_x,…,acc_z[,mag_x,…][,gt_qw,…][,gt_px,…][,movement]` (rad/s, m/s², µT; BROAD's style) or
     /// EuRoC's `imu0/data.csv` (or its folder), each also compressed by gzip.
     ///
     /// # Errors

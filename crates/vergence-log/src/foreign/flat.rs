@@ -1,6 +1,6 @@
 //! Messages as rows of a table, whatever their type: what exporters write.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use vergence_sense::{
     Axis, Button, CallResult, Event, FrameHash, FrameTiming, Gaze, HandJoints, Haptic, Image, Imu, Pose,
@@ -59,8 +59,13 @@ pub fn schema_of(type_name: &str) -> Option<&'static Schema> {
     all.into_iter().find(|(name, _)| *name == type_name).map(|(_, schema)| schema)
 }
 
-/// The message's values by column: fields by name, inner ones behind a point, repeated ones by number in brackets; times in
-/// nanoseconds. A row of a foreign stream has its stream's own columns. `None` where the type is a stranger's.
+/// Note of a foreign stream on the order of its columns, where that is not numbers, whole numbers, texts: their names as fields, with
+/// commas between them (`texts[0],numbers[0]`).
+pub const ORDER: &str = "order";
+
+/// The message's values by column, `captured_ns` and `arrived_ns` first: fields by name, inner ones behind a point, repeated ones by
+/// number in brackets; times in nanoseconds. Parts of poses that may not be read are NaN. A row of a foreign stream has its stream's own
+/// columns, in their order. `None` where the type is a stranger's.
 ///
 /// # Errors
 /// Where the bytes are no such message, or have more than 4096 columns.
@@ -68,8 +73,26 @@ pub fn flat(entry: &Entry<'_>) -> Result<Option<Vec<(String, Cell)>>, WireError>
     let Some(schema) = schema_of(entry.stream.type_name()) else { return Ok(None) };
     let mut cells = Vec::with_capacity(16);
     walk(schema, entry.payload, "", &mut cells)?;
-    let labels = |column: &str| entry.stream.metadata.get(&format!("column.{column}"));
+    if schema.name.starts_with("foxglove.Pose") {
+        hide_lost(&mut cells);
+    }
+    // Foxglove's schemas call the first time otherwise, and have the second one further back.
+    if let Some((name, _)) = cells.first_mut().filter(|(name, _)| name == "timestamp_ns") {
+        "captured_ns".clone_into(name);
+        if let Some(arrived) = cells.iter().position(|(name, _)| name == "arrived_ns") {
+            cells[1..=arrived].rotate_right(1);
+        }
+    }
     if entry.is::<Row<'_>>() {
+        if let Some(order) = entry.stream.metadata.get(ORDER) {
+            let places: HashMap<&str, usize> = order.split(',').zip(1..).collect();
+            // Times have no place there and stay in front.
+            cells.sort_by_key(|(column, _)| match column.as_str() {
+                "captured_ns" | "arrived_ns" => 0,
+                column => places.get(column).copied().unwrap_or(usize::MAX),
+            });
+        }
+        let labels = |column: &str| entry.stream.metadata.get(&format!("column.{column}"));
         // A label that another column has already is none: no two columns are called alike.
         let mut taken: HashSet<String> = cells.iter().map(|(column, _)| column.clone()).collect();
         for (column, _) in &mut cells {
@@ -79,6 +102,35 @@ pub fn flat(entry: &Entry<'_>) -> Result<Option<Vec<(String, Cell)>>, WireError>
         }
     }
     Ok(Some(cells))
+}
+
+/// Makes positions and orientations that may not be read NaN: zeros would pass for a place.
+fn hide_lost(cells: &mut [(String, Cell)]) {
+    let shared = cells.iter().find_map(|(name, cell)| match cell {
+        Cell::Integer(flags) if name == "validity" => Some(*flags),
+        _ => None,
+    });
+    // One byte for each, in hexadecimal digits.
+    let of_each = cells.iter().find_map(|(name, cell)| match cell {
+        Cell::Text(digits) if name == "validities" => Some(digits.clone()),
+        _ => None,
+    });
+    let (readable_orientation, readable_position) = (1, 2);
+    for (name, cell) in cells {
+        let Some((pose, part)) = name.split_once('.').filter(|(pose, _)| pose.starts_with("pose")) else {
+            continue;
+        };
+        let number =
+            pose.strip_prefix("poses[").and_then(|rest| rest.strip_suffix(']')?.parse::<usize>().ok());
+        let own = number.zip(of_each.as_ref()).and_then(|(number, digits)| {
+            i64::from_str_radix(digits.get(2 * number..2 * number + 2)?, 16).ok()
+        });
+        let needed = if part.starts_with("position") { readable_position } else { readable_orientation };
+        // A stream that says nothing of it is believed.
+        if own.or(shared).is_some_and(|flags| flags & needed == 0) {
+            *cell = Cell::Number(f64::NAN);
+        }
+    }
 }
 
 fn walk(

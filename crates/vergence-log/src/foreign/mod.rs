@@ -5,6 +5,6 @@ mod flat;
 mod table;
 mod xdf;
 
-pub use flat::{Cell, flat, schema_of};
-pub use table::{Table, TableColumn, TableError};
+pub use flat::{Cell, ORDER, flat, schema_of};
+pub use table::{Table, TableColumn, TableError, TimeUnit};
 pub use xdf::{Cells, Xdf, XdfStream, read_xdf};

@@ -1,20 +1,17 @@
 //! `vergence log export`: a session log for other people's programs.
 
-use std::collections::{BTreeMap, HashMap, btree_map};
-use std::fs::File;
-use std::io::{BufWriter, Write as _};
+use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
 
 use clap::ValueEnum;
-use vergence_geom::components;
+use indicatif::{ProgressBar, ProgressStyle};
 use vergence_log::foreign::{Cell, flat};
-use vergence_log::{Compressed, Entry, Reader};
-use vergence_sense::{Imu, Pose, RawLocation, Sample};
+use vergence_log::{Entry, Reader};
+use vergence_sense::{Pose, RawLocation, Sample};
 use vergence_slam::trajectory::Trajectory;
-use vergence_time::Timestamp;
 
 use super::failed;
-use super::table::{Column, CsvTable, ParquetTable, Table};
+use super::table::{Column, CsvTable, Draft, ParquetTable, Table};
 use crate::failure::Failure;
 
 #[derive(clap::Args)]
@@ -23,10 +20,10 @@ pub struct ExportArgs {
     #[arg(value_enum)]
     kind: Kind,
     /// A session log (.mcap)
-    file: PathBuf,
+    pub file: PathBuf,
     /// Folder for the files; made where it is missing
     #[arg(short, long, value_name = "DIR")]
-    output: PathBuf,
+    pub output: PathBuf,
     /// Streams by name, with all that lie below [default: all that the kind can hold]
     #[arg(long, value_delimiter = ',', value_name = "STREAM")]
     streams: Vec<String>,
@@ -48,10 +45,48 @@ enum Kind {
 }
 
 /// A file that was written.
-struct Written {
-    stream: String,
-    path: PathBuf,
-    rows: u64,
+pub struct Written {
+    pub stream: String,
+    pub path: PathBuf,
+    pub rows: u64,
+}
+
+/// How far the log is read, on a terminal.
+pub struct Progress {
+    bar: ProgressBar,
+    entries: u64,
+}
+
+impl Progress {
+    fn new() -> Self {
+        let bar = ProgressBar::new(0);
+        if let Ok(style) = ProgressStyle::with_template("{bar:40} {bytes}/{total_bytes} {eta} {msg}") {
+            bar.set_style(style);
+        }
+        Self { bar, entries: 0 }
+    }
+
+    /// What is done with the log from here on.
+    fn pass(&self, what: &'static str) {
+        self.bar.set_message(what);
+    }
+
+    /// The next message of the log.
+    pub fn next<'a>(&mut self, reader: &'a mut Reader) -> Result<Option<Entry<'a>>, Failure> {
+        if self.entries.is_multiple_of(1024) {
+            let (read, all) = reader.progress();
+            self.bar.set_length(all);
+            self.bar.set_position(read);
+        }
+        self.entries += 1;
+        reader.next().map_err(|error| failed(&error))
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
 }
 
 /// The name of a file for a stream: `/hand/left` is `hand-left`.
@@ -66,11 +101,13 @@ impl ExportArgs {
     pub fn run(self) -> Result<(), Failure> {
         let mut reader = Reader::open(&self.file).map_err(|error| failed(&error))?;
         std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))?;
+        let mut bar = Progress::new();
         let written = match self.kind {
-            Kind::Csv | Kind::Parquet => self.tables(&mut reader)?,
-            Kind::Tum => self.tum(&mut reader)?,
-            Kind::Euroc => self.euroc(&mut reader)?,
+            Kind::Csv | Kind::Parquet => self.tables(&mut reader, &mut bar)?,
+            Kind::Tum => self.tum(&mut reader, &mut bar)?,
+            Kind::Euroc => super::euroc::write(&self, &mut reader, &mut bar)?,
         };
+        drop(bar);
         if written.is_empty() {
             return Err(self.nothing());
         }
@@ -108,7 +145,7 @@ impl ExportArgs {
         Failure::Work(format!("{file}: expected {wanted} with {holds}, found {found}"))
     }
 
-    fn wants(&self, entry: &Entry<'_>) -> bool {
+    pub fn wants(&self, entry: &Entry<'_>) -> bool {
         let name = &entry.stream.name;
         let below = |own: &String| {
             let own = own.trim_start_matches('/');
@@ -134,9 +171,10 @@ impl ExportArgs {
     }
 
     /// Reads twice: first which columns there are, then their values. A stream has every column that one of its rows has.
-    fn tables(&self, reader: &mut Reader) -> Result<Vec<Written>, Failure> {
+    fn tables(&self, reader: &mut Reader, bar: &mut Progress) -> Result<Vec<Written>, Failure> {
+        bar.pass("columns");
         let mut shapes: BTreeMap<u16, (String, Shape)> = BTreeMap::new();
-        while let Some(entry) = reader.next().map_err(|error| failed(&error))? {
+        while let Some(entry) = bar.next(reader)? {
             let Some(cells) = self.row(&entry)? else { continue };
             let (_, shape) = shapes
                 .entry(entry.stream.id)
@@ -144,6 +182,7 @@ impl ExportArgs {
             cells.into_iter().enumerate().for_each(|(place, (name, cell))| shape.add(place, name, &cell));
         }
         let mut reader = Reader::open(&self.file).map_err(|error| failed(&error))?;
+        bar.pass("values");
         let ending = if self.kind == Kind::Csv { "csv" } else { "parquet" };
         let mut taken = BTreeMap::new();
         let mut files = BTreeMap::new();
@@ -155,7 +194,7 @@ impl ExportArgs {
             };
             files.insert(id, (Written { stream, path, rows: 0 }, shape, table));
         }
-        while let Some(entry) = reader.next().map_err(|error| failed(&error))? {
+        while let Some(entry) = bar.next(&mut reader)? {
             let Some(cells) = self.row(&entry)? else { continue };
             let Some((written, shape, table)) = files.get_mut(&entry.stream.id) else { continue };
             let mut row: Vec<Option<Cell>> = vec![None; shape.columns.len()];
@@ -185,9 +224,14 @@ impl ExportArgs {
     }
 
     /// The poses of every stream that has them; what is not tracked is left out, as the format has no word for it.
-    fn trajectories(&self, reader: &mut Reader) -> Result<Vec<(String, Trajectory)>, Failure> {
+    pub fn trajectories(
+        &self,
+        reader: &mut Reader,
+        bar: &mut Progress,
+    ) -> Result<Vec<(String, Trajectory)>, Failure> {
+        bar.pass("poses");
         let mut all: BTreeMap<u16, (String, Trajectory)> = BTreeMap::new();
-        while let Some(entry) = reader.next().map_err(|error| failed(&error))? {
+        while let Some(entry) = bar.next(reader)? {
             if !self.wants(&entry) {
                 continue;
             }
@@ -217,93 +261,19 @@ impl ExportArgs {
         Ok(all)
     }
 
-    fn tum(&self, reader: &mut Reader) -> Result<Vec<Written>, Failure> {
+    fn tum(&self, reader: &mut Reader, bar: &mut Progress) -> Result<Vec<Written>, Failure> {
         let mut taken = BTreeMap::new();
         let mut all = Vec::new();
-        for (stream, trajectory) in self.trajectories(reader)? {
+        for (stream, trajectory) in self.trajectories(reader, bar)? {
             let path = self.place(&stream, "tum.txt", &mut taken);
-            let file = File::create(&path).map_err(|e| Failure::unwritable(&path, &e))?;
-            trajectory.write_tum(BufWriter::new(file)).map_err(|e| Failure::unwritable(&path, &e))?;
-            all.push(Written { stream, path, rows: trajectory.poses.len() as u64 });
-        }
-        Ok(all)
-    }
-
-    fn euroc(&self, reader: &mut Reader) -> Result<Vec<Written>, Failure> {
-        let mut all = Vec::new();
-        let rig = self.output.join("mav0");
-        let open = |folder: &str, head: &str| -> Result<(PathBuf, BufWriter<File>), Failure> {
-            let folder = rig.join(folder);
-            std::fs::create_dir_all(&folder).map_err(|e| Failure::unwritable(&folder, &e))?;
-            let path = folder.join("data.csv");
-            let mut file = BufWriter::new(File::create(&path).map_err(|e| Failure::unwritable(&path, &e))?);
-            writeln!(file, "{head}").map_err(|e| Failure::unwritable(&path, &e))?;
-            Ok((path, file))
-        };
-        let mut tables: BTreeMap<u16, (Written, BufWriter<File>, PathBuf)> = BTreeMap::new();
-        let (mut units, mut cameras) = (0, 0);
-        while let Some(entry) = reader.next().map_err(|error| failed(&error))? {
-            if !self.wants(&entry) || !(entry.is::<Imu>() || entry.is::<Compressed<'_>>()) {
-                continue;
-            }
-            let id = entry.stream.id;
-            let (written, file, data) = match tables.entry(id) {
-                btree_map::Entry::Occupied(table) => table.into_mut(),
-                btree_map::Entry::Vacant(place) => {
-                    let (folder, head) = if entry.is::<Imu>() {
-                        units += 1;
-                        (format!("imu{}", units - 1), IMU_HEAD)
-                    } else {
-                        cameras += 1;
-                        (format!("cam{}", cameras - 1), "#timestamp [ns],filename")
-                    };
-                    let (path, file) = open(&folder, head)?;
-                    let written = Written { stream: entry.stream.name.clone(), path, rows: 0 };
-                    place.insert((written, file, rig.join(&folder).join("data")))
-                }
-            };
-            let path = written.path.clone();
-            let line = if entry.is::<Imu>() {
-                let imu = entry.decode::<Imu>().map_err(|error| failed(&error))?;
-                let (g, a) = (imu.value.gyr_rad_s, imu.value.acc_m_s2);
-                format!("{},{},{},{},{},{},{}", imu.captured.as_nanos(), g.x, g.y, g.z, a.x, a.y, a.z)
-            } else {
-                let picture = entry.decode::<Compressed<'_>>().map_err(|error| failed(&error))?;
-                if picture.value.0.encoding != "png" {
-                    continue;
-                }
-                std::fs::create_dir_all(&*data).map_err(|e| Failure::unwritable(data, &e))?;
-                let name = format!("{}.png", picture.captured.as_nanos());
-                let place = data.join(&name);
-                std::fs::write(&place, &picture.value.0.data).map_err(|e| Failure::unwritable(&place, &e))?;
-                format!("{},{name}", picture.captured.as_nanos())
-            };
-            writeln!(file, "{line}").map_err(|e| Failure::unwritable(&path, &e))?;
-            written.rows += 1;
-        }
-        for (_, (written, mut file, _)) in tables {
-            file.flush().map_err(|e| Failure::unwritable(&written.path, &e))?;
-            all.push(written);
-        }
-        let mut again = Reader::open(&self.file).map_err(|error| failed(&error))?;
-        for (index, (stream, trajectory)) in self.trajectories(&mut again)?.into_iter().enumerate() {
-            let (path, mut file) = open(&format!("state_groundtruth_estimate{index}"), TRUTH_HEAD)?;
-            for (at, pose) in &trajectory.poses {
-                let [x, y, z, qx, qy, qz, qw] = components(pose);
-                let at: &Timestamp = at;
-                writeln!(file, "{},{x},{y},{z},{qw},{qx},{qy},{qz}", at.as_nanos())
-                    .map_err(|e| Failure::unwritable(&path, &e))?;
-            }
-            file.flush().map_err(|e| Failure::unwritable(&path, &e))?;
+            let mut draft = Draft::create(&path)?;
+            trajectory.write_tum(&mut draft).map_err(|e| Failure::unwritable(&path, &e))?;
+            draft.keep()?;
             all.push(Written { stream, path, rows: trajectory.poses.len() as u64 });
         }
         Ok(all)
     }
 }
-
-const IMU_HEAD: &str = "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]";
-const TRUTH_HEAD: &str =
-    "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []";
 
 /// The columns of a stream's table, in the order in which they were first seen.
 #[derive(Default)]

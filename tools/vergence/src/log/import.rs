@@ -1,18 +1,16 @@
 //! `vergence log import`: other people's recordings as a session log.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use vergence_geom::{Rigid, y_up_from_z_up};
-use vergence_inertial::Recording;
-use vergence_log::foreign::{Cells, Table, read_xdf};
-use vergence_log::{Compressed, Header, Options, Recorder, Row, Stream, StreamDesc, Times};
-use vergence_sense::{Button, Image, Imu, Pose, Tracking};
-use vergence_slam::trajectory::Trajectory;
-use vergence_time::{Span, Timestamp};
+use indicatif::{ProgressBar, ProgressStyle};
+use vergence_log::foreign::TimeUnit;
+use vergence_log::{Compressed, Header, Options, Recorder};
+use vergence_sense::Image;
+use vergence_time::Span;
 
+use super::gather::{Carries, Gathered, Item, Open, World, broad, csv, euroc, tum, xdf};
 use crate::failure::Failure;
 
 #[derive(clap::Args)]
@@ -28,6 +26,9 @@ pub struct ImportArgs {
     /// Replaces the log where there is one already
     #[arg(long)]
     overwrite: bool,
+    /// The unit of a table's first column (csv) [default: as its name says]
+    #[arg(long, value_enum, value_name = "UNIT")]
+    time_unit: Option<Unit>,
     /// Which way the poses' world is turned (euroc, tum, broad)
     #[arg(long, value_enum, default_value_t = World::AsRecorded)]
     world: World,
@@ -46,75 +47,29 @@ enum Kind {
     Broad,
     /// The lab streaming layer's recordings, on one clock
     Xdf,
-    /// A table with a header (commas, semicolons or tabs); the first column is time: seconds, or with a name that ends in _ns, _us or
-    /// _ms. Every column is numbers, whole numbers or text
+    /// A table with a header (commas, semicolons or tabs); the first column is time, in the unit of its name (t_s, `Time [ms]`,
+    /// timestamp_us, captured_ns). Every column is numbers, whole numbers or text
     Csv,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum World {
-    /// As it is in the recording: the same numbers
-    AsRecorded,
-    /// From z up (EuRoC, TUM, BROAD) to y up and −z forward, as scenes have it
-    YUp,
+enum Unit {
+    S,
+    Ms,
+    Us,
+    Ns,
 }
 
-impl World {
-    /// Ours from the recording's, and what is said of its axes.
-    fn turn(self) -> (Rigid, &'static str) {
-        match self {
-            Self::AsRecorded => (Rigid::identity(), "as in the recording (EuRoC, TUM: z up)"),
-            Self::YUp => (y_up_from_z_up(), "y up, -z forward (the recording: z up)"),
+impl From<Unit> for TimeUnit {
+    fn from(unit: Unit) -> Self {
+        match unit {
+            Unit::S => Self::S,
+            Unit::Ms => Self::Ms,
+            Unit::Us => Self::Us,
+            Unit::Ns => Self::Ns,
         }
     }
 }
-
-/// What is written, in order of time.
-enum Item {
-    Imu(usize, Imu),
-    Pose(usize, Pose),
-    Button(usize, Button),
-    Row(usize, Row<'static>),
-    Picture(usize, PathBuf),
-}
-
-/// Everything of a recording, before it is put in order.
-#[derive(Default)]
-struct Gathered {
-    descs: Vec<(StreamDesc, Carries)>,
-    items: Vec<(Times, Item)>,
-    faults: Vec<String>,
-    /// EuRoC's calibrations, by the name that they have in the folder.
-    rig: BTreeMap<String, String>,
-}
-
-#[derive(Clone, Copy)]
-enum Carries {
-    Imu,
-    Pose,
-    Button,
-    Row,
-    Picture,
-}
-
-/// A stream at work.
-enum Open {
-    Imu(Stream<Imu>),
-    Pose(Stream<Pose>),
-    Button(Stream<Button>),
-    Row(Stream<Row<'static>>),
-    Picture(Stream<Compressed<'static>>),
-}
-
-impl Gathered {
-    fn stream(&mut self, desc: StreamDesc, carries: Carries) -> usize {
-        self.descs.push((desc, carries));
-        self.descs.len() - 1
-    }
-}
-
-/// What the axes of a foreign world are is a note on the stream.
-const WORLD: &str = "world";
 
 impl ImportArgs {
     pub fn run(self) -> Result<(), Failure> {
@@ -138,14 +93,23 @@ impl ImportArgs {
         if self.world != World::AsRecorded && matches!(self.kind, Kind::Xdf | Kind::Csv) {
             return Err(Failure::Call("--world: expected a kind with poses: euroc, tum, broad".into()));
         }
+        if self.time_unit.is_some() && self.kind != Kind::Csv {
+            return Err(Failure::Call("--time-unit: expected the kind csv; others say their own".into()));
+        }
         let mut gathered = Gathered::default();
+        let bar = ProgressBar::new_spinner();
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {elapsed} reading") {
+            bar.set_style(style);
+        }
+        bar.enable_steady_tick(std::time::Duration::from_millis(200));
         match self.kind {
             Kind::Euroc => euroc(&self.path, self.world, &mut gathered)?,
             Kind::Tum => tum(&self.path, self.world, &mut gathered)?,
             Kind::Broad => broad(&self.path, self.world, &mut gathered)?,
             Kind::Xdf => xdf(&self.path, &mut gathered)?,
-            Kind::Csv => csv(&self.path, &mut gathered)?,
+            Kind::Csv => csv(&self.path, self.time_unit.map(Into::into), &mut gathered)?,
         }
+        bar.finish_and_clear();
         // Stable: at one instant in the order of the streams.
         gathered.items.sort_by_key(|(times, _)| times.arrived);
         let kind =
@@ -158,7 +122,9 @@ impl ImportArgs {
         header.notes.insert("imported_from".to_owned(), kind.clone());
         let status = write(&self.output, &header, &gathered)?;
         for fault in &gathered.faults {
-            ::log::warn!("{}: {fault}", self.path.display());
+            // A fault that begins with its line follows the file's name at once.
+            let space = if fault.starts_with(|c: char| c.is_ascii_digit()) { "" } else { " " };
+            ::log::warn!("{}:{space}{fault}", self.path.display());
         }
         let first = gathered.items.first().map(|(times, _)| times.captured);
         let seconds = first
@@ -166,11 +132,11 @@ impl ImportArgs {
             .map_or(0.0, Span::as_secs_f64);
         if self.json {
             let bytes = std::fs::metadata(&self.output).map_or(0, |file| file.len());
-            let streams: Vec<&str> = gathered.descs.iter().map(|(desc, _)| &desc.name[..]).collect();
+            let names: Vec<&str> = gathered.descs.iter().map(|(desc, _)| &desc.name[..]).collect();
             println!(
                 "{}",
                 serde_json::json!({
-                    "kind": kind, "streams": streams, "samples": status.taken, "dropped": status.dropped,
+                    "kind": kind, "streams": names.len(), "names": names, "samples": status.taken, "dropped": status.dropped,
                     "seconds": seconds, "bytes": bytes, "faults": gathered.faults,
                 })
             );
@@ -206,9 +172,14 @@ fn write(output: &Path, header: &Header, gathered: &Gathered) -> Result<vergence
             Carries::Picture => Open::Picture(recorder.stream(desc).map_err(failed)?),
         });
     }
+    let bar = ProgressBar::new(gathered.items.len() as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} samples {eta}") {
+        bar.set_style(style);
+    }
     let mut since_sync = 0;
     for (times, item) in &gathered.items {
         let times = *times;
+        bar.inc(1);
         since_sync += 256;
         match item {
             Item::Imu(stream, imu) => {
@@ -256,6 +227,7 @@ fn write(output: &Path, header: &Header, gathered: &Gathered) -> Result<vergence
             since_sync = 0;
         }
     }
+    bar.finish_and_clear();
     let status = recorder.finish().map_err(failed)?;
     if status.dropped > 0 {
         let message =
@@ -263,206 +235,4 @@ fn write(output: &Path, header: &Header, gathered: &Gathered) -> Result<vergence
         return Err(Failure::Work(message));
     }
     Ok(status)
-}
-
-fn poses(trajectory: &Trajectory, name: &str, world: World, gathered: &mut Gathered) {
-    let (ours_from_theirs, axes) = world.turn();
-    let desc = StreamDesc::new(name).frame(WORLD).note("axes", axes);
-    let stream = gathered.stream(desc, Carries::Pose);
-    let item = |(at, theirs_from_body): &(Timestamp, Rigid)| {
-        // What stays as it was stays to the last bit.
-        let pose = match world {
-            World::AsRecorded => *theirs_from_body,
-            World::YUp => ours_from_theirs * theirs_from_body,
-        };
-        (Times::at(*at), Item::Pose(stream, Pose::tracked(pose)))
-    };
-    gathered.items.extend(trajectory.poses.iter().map(item));
-}
-
-fn tum(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
-    poses(&Trajectory::read(path).map_err(|error| Failure::work(&error))?, "/body", world, gathered);
-    Ok(())
-}
-
-/// What of EuRoC's folder is there: any of imu0, cam0…, state_groundtruth_estimate0.
-fn euroc(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
-    let inner = path.join("mav0");
-    let rig = if inner.is_dir() { inner } else { path.to_owned() };
-    for name in (0..8).map(|index| format!("cam{index}")).chain(["imu0".to_owned()]) {
-        let name = format!("{name}/sensor.yaml");
-        match std::fs::read_to_string(rig.join(&name)) {
-            Ok(sheet) => drop(gathered.rig.insert(name, sheet)),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
-            Err(error) => return Err(Failure::Work(format!("{}: {error}", rig.join(&name).display()))),
-        }
-    }
-    let imu = rig.join("imu0");
-    if imu.is_dir() {
-        let recording = Recording::read(&imu).map_err(|error| Failure::work(&error))?;
-        let stream = gathered.stream(StreamDesc::new("/imu0").frame("imu0"), Carries::Imu);
-        let item = |(at, imu): &(Timestamp, Imu)| (Times::at(*at), Item::Imu(stream, *imu));
-        gathered.items.extend(recording.samples.iter().map(item));
-    }
-    for truth in ["state_groundtruth_estimate0", "mocap0", "vicon0", "leica0"] {
-        let table = rig.join(truth).join("data.csv");
-        // Leica has positions only, which are no poses.
-        if table.is_file() && truth != "leica0" {
-            let trajectory = Trajectory::read(&table).map_err(|error| Failure::work(&error))?;
-            poses(&trajectory, &format!("/{truth}"), world, gathered);
-        }
-    }
-    for camera in (0..8).map(|index| format!("cam{index}")) {
-        let table = rig.join(&camera).join("data.csv");
-        if !table.is_file() {
-            continue;
-        }
-        let text = std::fs::read_to_string(&table)
-            .map_err(|e| Failure::Work(format!("{}: {e}", table.display())))?;
-        let stream =
-            gathered.stream(StreamDesc::new(format!("/{camera}")).frame(camera.clone()), Carries::Picture);
-        for (index, line) in
-            text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty() && !l.starts_with('#'))
-        {
-            let wrong = |expected: &str| {
-                Failure::Work(format!(
-                    "{}:{}:1: expected {expected}, found {line:?}",
-                    table.display(),
-                    index + 1
-                ))
-            };
-            let (at, name) = line.split_once(',').ok_or_else(|| wrong("a time and a file"))?;
-            let at =
-                at.trim().parse().map(Timestamp::from_nanos).map_err(|_| wrong("a time in nanoseconds"))?;
-            let name = name.trim();
-            // Nothing outside of the recording's folder is read.
-            if name.is_empty() || name.contains(['/', '\\']) || name.starts_with('.') {
-                return Err(wrong("the name of a file in the folder data"));
-            }
-            let picture = rig.join(&camera).join("data").join(name);
-            if picture.is_file() {
-                gathered.items.push((Times::at(at), Item::Picture(stream, picture)));
-            } else {
-                gathered.faults.push(format!("{}: no such picture", picture.display()));
-            }
-        }
-    }
-    if gathered.items.is_empty() {
-        let expected = "expected imu0, cam0 or state_groundtruth_estimate0, found none";
-        return Err(Failure::Call(format!("{}: {expected}", rig.display())));
-    }
-    Ok(())
-}
-
-fn broad(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
-    let recording = Recording::read(path).map_err(|error| Failure::work(&error))?;
-    let imu = gathered.stream(StreamDesc::new("/imu").frame("imu"), Carries::Imu);
-    gathered
-        .items
-        .extend(recording.samples.iter().map(|(at, sample)| (Times::at(*at), Item::Imu(imu, *sample))));
-    if recording.truth.is_empty() {
-        return Ok(());
-    }
-    let (frame, axes) = match world {
-        World::AsRecorded => ("enu", "earth (east, north, up) from sensor"),
-        World::YUp => (WORLD, "y up (east, up, south) from sensor"),
-    };
-    let desc = StreamDesc::new("/truth").frame(frame).note("axes", axes);
-    let truth = gathered.stream(desc, Carries::Pose);
-    let movement = gathered.stream(StreamDesc::new("/movement"), Carries::Button);
-    for ((at, _), said) in recording.samples.iter().zip(&recording.truth) {
-        let pose = said.earth_from_sensor.map_or(Pose::LOST, |q| {
-            let c = match world {
-                World::AsRecorded => q.coords,
-                World::YUp => (world.turn().0.rotation * q).coords,
-            };
-            Pose::from_exact([0.0; 3], Tracking::Lost, [c.x, c.y, c.z, c.w], Tracking::Measured)
-        });
-        gathered.items.push((Times::at(*at), Item::Pose(truth, pose)));
-        gathered.items.push((Times::at(*at), Item::Button(movement, Button(Some(said.movement)))));
-    }
-    Ok(())
-}
-
-fn seconds(secs: f64) -> Option<Timestamp> {
-    Span::from_secs_f64(secs).map(|span| Timestamp::from_nanos(span.as_nanos()))
-}
-
-/// A name that a stream may have, and that no other one has.
-fn stream_name(name: &str, taken: &[(StreamDesc, Carries)]) -> String {
-    let word: String = name
-        .chars()
-        .take(200)
-        .map(|c| if c.is_alphanumeric() || "-_./".contains(c) { c } else { '_' })
-        .collect();
-    let base = format!("/{}", word.trim_matches('/'));
-    let base = if base.len() < 2 { "/stream".to_owned() } else { base };
-    let is_free = |name: &String| taken.iter().all(|(desc, _)| desc.name != *name);
-    let numbered = (2..).map(|k| format!("{base}_{k}"));
-    std::iter::once(base.clone()).chain(numbered).find(is_free).unwrap_or(base)
-}
-
-fn xdf(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
-    let xdf = read_xdf(path).map_err(|error| super::failed(&error))?;
-    gathered.faults = xdf.faults;
-    for stream in xdf.streams {
-        let mut desc = StreamDesc::new(stream_name(&stream.name, &gathered.descs))
-            .note("xdf.name", &stream.name)
-            .note("xdf.type", &stream.content)
-            .note("xdf.format", &stream.format)
-            .note("xdf.id", stream.id.to_string())
-            .note("xdf.nominal_srate", stream.nominal_hz.to_string())
-            .note("xdf.channels", stream.channels.to_string());
-        let field = match &stream.cells {
-            Cells::Numbers(_) => "numbers",
-            Cells::Integers(_) => "integers",
-            Cells::Texts(_) => "texts",
-        };
-        for (place, label) in stream.labels.iter().enumerate() {
-            desc = desc.note(format!("column.{field}[{place}]"), label);
-        }
-        let place = gathered.stream(desc, Carries::Row);
-        for (k, stamp_s) in stream.stamps_s.iter().enumerate() {
-            let at = seconds(*stamp_s).ok_or_else(|| {
-                Failure::Work(format!("{}: expected a time, found {stamp_s} s", path.display()))
-            })?;
-            let cells = k * stream.channels..(k + 1) * stream.channels;
-            let row = match &stream.cells {
-                Cells::Numbers(all) => Row { numbers: Cow::Owned(all[cells].to_vec()), ..Row::default() },
-                Cells::Integers(all) => Row { integers: Cow::Owned(all[cells].to_vec()), ..Row::default() },
-                Cells::Texts(all) => Row { texts: Cow::Owned(all[cells].to_vec()), ..Row::default() },
-            };
-            gathered.items.push((Times::at(at), Item::Row(place, row)));
-        }
-    }
-    Ok(())
-}
-
-/// A table of anything.
-fn csv(path: &Path, gathered: &mut Gathered) -> Result<(), Failure> {
-    let text = std::fs::read(path).map_err(|error| Failure::Work(format!("{}: {error}", path.display())))?;
-    let table = Table::parse(&text).map_err(|error| Failure::Work(format!("{}:{error}", path.display())))?;
-    gathered.faults = table.renamed;
-    let stem = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
-    let mut desc = StreamDesc::new(stream_name(&stem, &gathered.descs));
-    let (mut numbers, mut integers, mut texts) = (Vec::new(), Vec::new(), Vec::new());
-    for column in table.columns {
-        let (field, place) = match column.cells {
-            Cells::Numbers(all) => (numbers.push(all), ("numbers", numbers.len())).1,
-            Cells::Integers(all) => (integers.push(all), ("integers", integers.len())).1,
-            Cells::Texts(all) => (texts.push(all), ("texts", texts.len())).1,
-        };
-        desc = desc.note(format!("column.{field}[{}]", place - 1), column.name);
-    }
-    let stream = gathered.stream(desc, Carries::Row);
-    for (k, captured) in table.captured.iter().enumerate() {
-        let row = Row {
-            numbers: numbers.iter().map(|all| all[k]).collect(),
-            integers: integers.iter().map(|all| all[k]).collect(),
-            texts: texts.iter_mut().map(|all| std::mem::take(&mut all[k])).collect(),
-        };
-        let arrived = table.arrived.as_ref().map_or(*captured, |all| all[k]);
-        gathered.items.push((Times::new(*captured, arrived), Item::Row(stream, row)));
-    }
-    Ok(())
 }

@@ -1,6 +1,7 @@
 //! Tables that `vergence log export` writes: CSV, and Parquet for what reads columns.
 
 use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -39,13 +40,61 @@ impl Column {
     }
 }
 
-/// The shortest digits that read back as the same number.
+/// The shortest digits that read back as the same number; what is no number is empty.
 fn word(cell: Cell) -> String {
     match cell {
+        Cell::Number(x) if x.is_nan() => String::new(),
         Cell::Number(x) => x.to_string(),
         Cell::Integer(x) => x.to_string(),
         Cell::Truth(x) => x.to_string(),
         Cell::Text(text) => text,
+    }
+}
+
+/// A file that has its name only once it is whole: until then it is called `.part`, and is gone where it does not come to its end.
+pub struct Draft {
+    path: PathBuf,
+    part: PathBuf,
+    /// `None` once it is whole.
+    file: Option<BufWriter<File>>,
+}
+
+impl Draft {
+    pub fn create(path: &Path) -> Result<Self, Failure> {
+        let mut part = path.as_os_str().to_owned();
+        part.push(".part");
+        let part = PathBuf::from(part);
+        let file = File::create(&part).map_err(|e| Failure::unwritable(path, &e))?;
+        Ok(Self { path: path.to_owned(), part, file: Some(BufWriter::new(file)) })
+    }
+
+    /// Gives it its name.
+    pub fn keep(mut self) -> Result<(), Failure> {
+        let Some(file) = &mut self.file else { return Ok(()) };
+        file.flush().map_err(|e| Failure::unwritable(&self.path, &e))?;
+        self.file = None;
+        std::fs::rename(&self.part, &self.path).map_err(|e| Failure::unwritable(&self.path, &e))
+    }
+}
+
+impl Write for Draft {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.file.as_mut().map_or(Ok(0), |file| file.write(bytes))
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.as_mut().map_or(Ok(()), Write::flush)
+    }
+}
+
+impl Drop for Draft {
+    fn drop(&mut self) {
+        if let Some(file) = self.file.take() {
+            // What waits in memory need not be written any more.
+            drop(file.into_parts());
+            // Whoever asked for the file hears why there is none.
+            drop(std::fs::remove_file(&self.part));
+        }
     }
 }
 
@@ -57,26 +106,29 @@ pub trait Table {
 
 pub struct CsvTable {
     path: PathBuf,
-    out: csv::Writer<File>,
+    /// `None` once it is finished.
+    out: Option<csv::Writer<Draft>>,
 }
 
 impl CsvTable {
     pub fn new(path: &Path, columns: &[(String, Column)]) -> Result<Self, Failure> {
-        let mut out = csv::Writer::from_path(path).map_err(|e| Failure::unwritable(path, &e))?;
+        let mut out = csv::Writer::from_writer(Draft::create(path)?);
         let names = columns.iter().map(|(name, _)| name);
         out.write_record(names).map_err(|e| Failure::unwritable(path, &e))?;
-        Ok(Self { path: path.to_owned(), out })
+        Ok(Self { path: path.to_owned(), out: Some(out) })
     }
 }
 
 impl Table for CsvTable {
     fn push(&mut self, row: Vec<Option<Cell>>) -> Result<(), Failure> {
         let words = row.into_iter().map(|cell| cell.map_or_else(String::new, word));
-        self.out.write_record(words).map_err(|e| Failure::unwritable(&self.path, &e))
+        let Some(out) = &mut self.out else { return Ok(()) };
+        out.write_record(words).map_err(|e| Failure::unwritable(&self.path, &e))
     }
 
     fn finish(&mut self) -> Result<(), Failure> {
-        self.out.flush().map_err(|e| Failure::unwritable(&self.path, &e))
+        let Some(out) = self.out.take() else { return Ok(()) };
+        out.into_inner().map_err(|e| Failure::unwritable(&self.path, e.error()))?.keep()
     }
 }
 
@@ -88,13 +140,13 @@ pub struct ParquetTable {
     kinds: Vec<Column>,
     rows: Vec<Vec<Option<Cell>>>,
     /// `None` once it is finished.
-    out: Option<SerializedFileWriter<File>>,
+    out: Option<SerializedFileWriter<Draft>>,
 }
 
 impl ParquetTable {
     pub fn new(path: &Path, columns: &[(String, Column)]) -> Result<Self, Failure> {
-        let file = File::create(path).map_err(|e| Failure::unwritable(path, &e))?;
-        let open = || -> Result<SerializedFileWriter<File>, ParquetError> {
+        let file = Draft::create(path)?;
+        let open = || -> Result<SerializedFileWriter<Draft>, ParquetError> {
             let fields = columns.iter().map(|(name, kind)| {
                 let (physical, logical) = match kind {
                     Column::Number => (Physical::DOUBLE, None),
@@ -176,13 +228,10 @@ impl Table for ParquetTable {
     }
 
     fn finish(&mut self) -> Result<(), Failure> {
-        let mut close = || -> Result<(), ParquetError> {
-            self.group()?;
-            if let Some(out) = self.out.take() {
-                out.close()?;
-            }
-            Ok(())
-        };
-        close().map_err(|e| Failure::unwritable(&self.path, &e))
+        let path = self.path.clone();
+        let failed = |e: ParquetError| Failure::unwritable(&path, &e);
+        self.group().map_err(failed)?;
+        let Some(out) = self.out.take() else { return Ok(()) };
+        out.into_inner().map_err(failed)?.keep()
     }
 }
