@@ -157,7 +157,8 @@ fn drawn(case: &Case, seed: u64) -> Recording {
         };
         recording.samples.push((Timestamp::from_nanos((i as f64 / FINE_HZ as f64 * 1e9) as i64), imu));
         let movement = envelope(t) > 0.05;
-        recording.truth.push(Truth { earth_from_sensor: Some(orientations[i]), movement });
+        let earth_from_sensor = Some(orientations[i]);
+        recording.truth.push(Truth { earth_from_sensor, movement, ..Truth::default() });
     }
     recording
 }
