@@ -106,6 +106,14 @@ fn text_and_logs_give_the_same_orientations_and_a_score() {
         assert!((0.0..1.0).contains(&degrees), "{name}: {degrees}");
     }
     assert_eq!(score["samples"], 3999);
+    // Every verb reads what `run` reads.
+    for arguments in [vec!["predict"], vec!["noise"], vec!["calibrate", "-o", "found.toml"]] {
+        let [by_text, by_log] = ["in.csv", "in.mcap"].map(|input| {
+            let output = imu(&[&arguments[..], &[input, "--json"]].concat(), folder);
+            (output.status.code(), String::from_utf8_lossy(&output.stderr).replace(input, "in"))
+        });
+        assert_eq!(by_text, by_log, "{arguments:?}");
+    }
     let offline = object(&imu(&["run", "in.csv", "--offline", "--json", "-o", "off.csv"], folder));
     assert_eq!(offline["samples"], 5000);
     assert_ne!(read("off.csv"), text);

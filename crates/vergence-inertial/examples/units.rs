@@ -210,7 +210,7 @@ fn resampled(recording: &Recording, rate_hz: f64) -> Recording {
 fn from_second(recording: &Recording, second: f64) -> Recording {
     let from = recording.samples.partition_point(|(at, _)| (at.as_nanos() as f64) < second * 1e9);
     let (samples, truth) = (recording.samples[from..].to_vec(), recording.truth[from..].to_vec());
-    Recording { samples, truth, unit: recording.unit }
+    Recording { samples, truth, unit: recording.unit, ..Recording::default() }
 }
 
 fn figures(recording: &Recording, made: &dyn Fn(Axes) -> Box<dyn Filter>) -> Result<Figures, Box<dyn Error>> {

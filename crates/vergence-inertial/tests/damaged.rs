@@ -29,17 +29,19 @@ fn rows(count: usize, period_s: f64) -> String {
 fn each_fault_is_named_with_its_place() {
     for (text, place) in [
         (String::new(), "in.csv:1:1: expected a header line, found an empty file"),
-        ("a,b\n1,2\n".to_owned(), "in.csv:1:1: expected a column 't_s'"),
+        ("a,b\n1,2\n".to_owned(), "in.csv:1:1: expected columns t_s (or t_ms, t_us, t_ns), gyr_x to gyr_z"),
         (format!("{}1,0,0,0,0,9.81\n", HEADER.replace(",gyr_z", "")), "expected a column 'gyr_z'"),
-        (HEADER.replace("acc_z", "acc_z,colour"), "in.csv:1:8: expected each of t_s,"),
-        (HEADER.replace("acc_z", "acc_z,t_s"), "in.csv:1:8: expected each of t_s,"),
+        (
+            HEADER.replace("acc_z", "acc_z,t_s"),
+            "in.csv:1:8: expected each column once, found 't_s' a second time",
+        ),
         (HEADER.replace("acc_z", "acc_z,mag_x"), "expected a column 'mag_y'"),
         (format!("{HEADER}0,0,0,x,0,0,9.81\n"), "in.csv:2:4: expected a number, found 'x'"),
         (format!("{HEADER}0,0,0,0,0,0\n"), "in.csv:2:6: expected 7 columns as in the header, found 6"),
         (format!("{HEADER}0,0,0,0,0,0,9.8,1\n"), "in.csv:2:8: expected 7 columns as in the header, found 8"),
         (
-            format!("{HEADER}0,0,0,0,0,0,9.8\n0,0,0,0,0,0,9.8\n"),
-            "in.csv:3:1: expected a time after 0 s, found 0 s",
+            format!("{HEADER}0,0,0,0,0,0,9.8\n-1,0,0,0,0,0,9.8\n"),
+            "in.csv:3:1: expected a time after 0 s, found -1 s",
         ),
         (format!("{HEADER}nan,0,0,0,0,0,9.8\n"), "in.csv:2:1: expected a time in seconds, found NaN"),
         (format!("{HEADER}0,0,0,0,0,0,9.8\n"), "in.csv:2:1: expected two samples or more, found 1"),
@@ -54,6 +56,28 @@ fn each_fault_is_named_with_its_place() {
         let found = error(&text);
         assert!(found.contains(place), "{found}\nexpected {place}");
     }
+}
+
+#[test]
+fn tables_of_other_makers_are_read() {
+    let read = |text: &str| {
+        let (_folder, path) = file("in.csv", text.as_bytes());
+        Recording::read(&path).unwrap()
+    };
+    let plain = read(&format!("{HEADER}0,0.5,0,0,0,0,9.81\n0.01,0,0,0,0,0,9.81\n"));
+    // Semicolons with decimal commas, milliseconds, other columns among them, one row twice.
+    let found = read(
+        "\"t_ms\";label;acc_x;acc_y;acc_z;gyr_x;gyr_y;gyr_z\n0;7;0;0;9,81;0,5;0;0\n0;7;0;0;9,81;0,5;0;0\n10;;0;0;9,81;0;0;0\n",
+    );
+    assert_eq!(found.samples, plain.samples);
+    assert_eq!((&found.ignored[..], found.repeated), (&["label".to_owned()][..], 1));
+    // Whole nanoseconds keep all their digits; an empty cell is a reading that is missing.
+    let header = HEADER.replace("t_s", "t_ns").replace("acc_z", "acc_z,mag_x,mag_y,mag_z");
+    let found = read(&format!(
+        "{header}1403715281262142976,0,0,0,0,0,9.81,20,0,-40\n1403715281272142977,0,0,0,0,0,9.81,,,\n"
+    ));
+    assert_eq!(found.samples[1].0.as_nanos(), 1_403_715_281_272_142_977);
+    assert!(found.samples[1].1.mag_ut.unwrap().iter().all(|x| x.is_nan()) && found.ignored.is_empty());
 }
 
 fn compressed() -> Vec<u8> {

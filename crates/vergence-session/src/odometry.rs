@@ -120,18 +120,29 @@ pub(crate) fn motion(
     let frames = recording.frames().map_or("frames".to_owned(), |count| format!("{count} frames"));
     say(&format!("following the {frames} of {name} ({}) before the session", recording.mode()));
     let mut samples = Vec::with_capacity(recording.frames().unwrap_or(0));
-    let (mut held, mut count, mut begins_ends) = (0usize, 0usize, None);
+    let (mut held, mut tracked, mut count, mut begins_ends) = (0usize, 0usize, 0usize, None);
+    let mut doubt = None;
     recording.follow(|estimate| {
         count += 1;
         begins_ends = Some((begins_ends.map_or(estimate.time, |(begins, _)| begins), estimate.time));
         match estimate.state {
-            State::Waiting | State::Lost => held += 1,
+            State::Tracked | State::Coasting => tracked += 1,
+            state => doubt = Some(state),
+        }
+        match estimate.state {
+            State::Waiting | State::Lost | State::Disagreeing => held += 1,
             _ => samples.push(Sample { at: estimate.time, world_from_body: estimate.world_from_body }),
         }
         !is_stopped()
     })?;
     if held > 0 {
         say(&format!("{name}: tracking is lost in {held} of {count} frames; the head is held there"));
+    }
+    if let Some(doubt) = doubt.filter(|_| tracked * 2 < count) {
+        say(&format!(
+            "{name}: {tracked} of {count} frames are tracked; of the others at last: {}",
+            doubt.says()
+        ));
     }
     let nothing = || Error::Call(format!("{name}: expected frames that can be followed, found none"));
     let begins = samples.first().ok_or_else(nothing)?.at;
@@ -178,7 +189,7 @@ impl Beside {
             let mut first = None;
             let followed = recording.follow(|estimate| {
                 let begins = *first.get_or_insert(estimate.time);
-                let is_known = !matches!(estimate.state, State::Waiting | State::Lost);
+                let is_known = !matches!(estimate.state, State::Waiting | State::Lost | State::Disagreeing);
                 let pose = estimate.time.since(begins).filter(|_| is_known);
                 // Where nobody takes it any more, the session is over.
                 pose.is_none_or(|at| give.send(Ok((at, estimate.world_from_body * body_from_head))).is_ok())

@@ -9,8 +9,10 @@ use super::table::Table;
 use super::{Recording, Truth};
 use crate::{Error, Unit};
 
+/// What the column of times may be called, one of them, and its seconds.
+const TIMES: [(&str, f64); 4] = [("t_s", 1.0), ("t_ms", 1e-3), ("t_us", 1e-6), ("t_ns", 1e-9)];
 /// Columns that must be there, in any order.
-const NEEDED: [&str; 7] = ["t_s", "gyr_x", "gyr_y", "gyr_z", "acc_x", "acc_y", "acc_z"];
+const NEEDED: [&str; 6] = ["gyr_x", "gyr_y", "gyr_z", "acc_x", "acc_y", "acc_z"];
 const MAG: [&str; 3] = ["mag_x", "mag_y", "mag_z"];
 const TRUTH: [&str; 4] = ["gt_qw", "gt_qx", "gt_qy", "gt_qz"];
 const POSITION: [&str; 3] = ["gt_px", "gt_py", "gt_pz"];
@@ -42,48 +44,72 @@ fn places<const N: usize>(table: &Table, names: [&str; N]) -> Result<Option<[usi
     }
 }
 
-/// The instant of a time in seconds, later than the one before.
-fn instant(table: &Table, t_s: f64, column: usize, before: Option<Timestamp>) -> Result<Timestamp, Error> {
-    let line = table.line();
-    let Some(span) = Span::from_secs_f64(t_s) else {
-        return Err(table.content(line, column, "a time in seconds", t_s));
-    };
-    let at = Timestamp::from_nanos(span.as_nanos());
+/// The instant of a time in seconds.
+fn instant(table: &Table, t_s: f64, column: usize) -> Result<Timestamp, Error> {
+    let span = Span::from_secs_f64(t_s);
+    let span = span.ok_or_else(|| table.content(table.line(), column, "a time in seconds", t_s))?;
+    Ok(Timestamp::from_nanos(span.as_nanos()))
+}
+
+/// Whether an instant is later than the one before; one that is earlier is an error.
+fn is_later(table: &Table, at: Timestamp, column: usize, before: Option<Timestamp>) -> Result<bool, Error> {
+    let seconds = |at: Timestamp| at.as_nanos() as f64 * 1e-9;
     match before {
-        Some(before) if at <= before => {
-            let expected = format!("a time after {} s", before.as_nanos() as f64 * 1e-9);
-            Err(table.content(line, column, &expected, format!("{t_s} s")))
+        Some(before) if at < before => {
+            let expected = format!("a time after {} s", seconds(before));
+            Err(table.content(table.line(), column, &expected, format!("{} s", seconds(at))))
         }
-        _ => Ok(at),
+        before => Ok(before != Some(at)),
     }
 }
 
 pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
-    let Some(needed) = places(table, NEEDED)? else {
-        let expected = "a column 't_s' (or a EuRoC header '#timestamp [ns],…')";
+    let time = TIMES.into_iter().find_map(|(name, seconds)| {
+        let place = table.header().iter().position(|column| column == name)?;
+        Some((place, seconds))
+    });
+    let (Some((time, seconds)), Some(needed)) = (time, places(table, NEEDED)?) else {
+        let expected = "columns t_s (or t_ms, t_us, t_ns), gyr_x to gyr_z in rad/s and acc_x to acc_z in m/s² (or a EuRoC header '#timestamp [ns],…')";
         return Err(table.content(1, 1, expected, format!("'{}'", table.header().join(","))));
     };
+    let mut recording = Recording::default();
+    let known = [&NEEDED[..], &TIMES.map(|(name, _)| name), &MAG, &TRUTH, &POSITION, &["movement"]].concat();
     for (index, name) in table.header().iter().enumerate() {
-        let known = [&NEEDED[..], &MAG, &TRUTH, &POSITION, &["movement"]].concat();
-        if !known.contains(&name.as_str()) || table.header()[..index].contains(name) {
-            let expected = format!("each of {} at most once", known.join(","));
-            return Err(table.content(1, index + 1, &expected, format!("'{name}'")));
+        if table.header()[..index].contains(name) {
+            return Err(table.content(1, index + 1, "each column once", format!("'{name}' a second time")));
         }
+        if !known.contains(&name.as_str()) {
+            recording.ignored.push(name.clone());
+        }
+    }
+    if seconds == 1.0 && recording.ignored.is_empty() {
+        recording.unit = Unit::Broad;
     }
     let mag = places(table, MAG)?;
     let truth = places(table, TRUTH)?;
     let position = places(table, POSITION)?;
     let movement = places(table, ["movement"])?;
-    let mut recording = Recording { unit: Unit::Broad, ..Recording::default() };
     let mut values = Vec::new();
     let mut last = None;
-    while table.row(&mut values, |_| {})? {
-        let at = instant(table, values[needed[0]], needed[0] + 1, last)?;
+    loop {
+        let mut nanos = None;
+        if !table.row(&mut values, |text| nanos = text.parse().ok().map(Timestamp::from_nanos))? {
+            return Ok(recording);
+        }
+        // Nanoseconds since 1970 have more digits than a float.
+        let at = match nanos.filter(|_| time == 0 && seconds == 1e-9) {
+            Some(at) => at,
+            None => instant(table, values[time] * seconds, time + 1)?,
+        };
+        if !is_later(table, at, time + 1, last)? {
+            recording.repeated += 1;
+            continue;
+        }
         last = Some(at);
         let vector = |[x, y, z]: [usize; 3]| Vector3::new(values[x], values[y], values[z]);
         let imu = Imu {
-            gyr_rad_s: vector([needed[1], needed[2], needed[3]]),
-            acc_m_s2: vector([needed[4], needed[5], needed[6]]),
+            gyr_rad_s: vector([needed[0], needed[1], needed[2]]),
+            acc_m_s2: vector([needed[3], needed[4], needed[5]]),
             mag_ut: mag.map(vector),
         };
         recording.samples.push((at, imu));
@@ -100,7 +126,6 @@ pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
             });
         }
     }
-    Ok(recording)
 }
 
 /// Reads `t_s,qw,qx,qy,qz`: orientations that take sensor-frame vectors to the earth frame.
@@ -119,7 +144,15 @@ pub fn read_orientations(path: &Path) -> Result<Vec<(Timestamp, UnitQuaternion<f
     }
     let (mut all, mut values, mut last) = (Vec::new(), Vec::new(), None);
     while table.row(&mut values, |_| {})? {
-        let at = instant(&table, values[0], 1, last)?;
+        let at = instant(&table, values[0], 1)?;
+        if !is_later(&table, at, 1, last)? {
+            return Err(table.content(
+                table.line(),
+                1,
+                "each time once",
+                format!("{} s a second time", values[0]),
+            ));
+        }
         last = Some(at);
         let q = Quaternion::new(values[1], values[2], values[3], values[4]);
         let Some(q) = UnitQuaternion::try_new(q, 1e-6).filter(|q| q.coords.iter().all(|v| v.is_finite()))

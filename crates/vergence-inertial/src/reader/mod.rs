@@ -26,6 +26,10 @@ pub struct Recording {
     pub truth: Vec<Truth>,
     /// The unit that recorded: that of BROAD where the table is of BROAD's style, else unknown.
     pub unit: Unit,
+    /// Columns of the table that nothing is made of.
+    pub ignored: Vec<String>,
+    /// Rows that were left out, because their time was that of the row before.
+    pub repeated: u64,
 }
 
 /// What the cameras saw at one sample.
@@ -46,11 +50,12 @@ pub struct Truth {
 pub const RATES_HZ: (f64, f64) = (5.0, 50_000.0);
 
 impl Recording {
-    /// Reads a recording: a table `t_s,gyr_x,…,acc_z[,mag_x,…][,gt_qw,…][,gt_px,…][,movement]` (rad/s, m/s², µT; BROAD's style) or
+    /// Reads a recording: a table `t_s,gyr_x,…,acc_z[,mag_x,…][,gt_qw,…][,gt_px,…][,movement]` (rad/s, m/s², µT; BROAD's style; also `t_ms`, `t_us` or
+    /// `t_ns`, between commas, semicolons or tabs, columns in any order among others, empty cells for NaN) or
     /// EuRoC's `imu0/data.csv` (or its folder), each also compressed by gzip.
     ///
     /// # Errors
-    /// File, line and column of the first fault: missing or unknown columns, numbers that are none, time that does not grow,
+    /// File, line and column of the first fault: missing columns, numbers that are none, time that goes back,
     /// truncated compression, a rate outside of [`RATES_HZ`].
     pub fn read(path: &Path) -> Result<Self, Error> {
         let inner = path.join("data.csv");

@@ -14,6 +14,8 @@ pub struct Table {
     path: PathBuf,
     input: Box<dyn BufRead>,
     compressed: bool,
+    /// Comma, semicolon or tab: whatever the header has most of.
+    separator: char,
     header: Vec<String>,
     line: u64,
     text: Vec<u8>,
@@ -27,15 +29,27 @@ impl Table {
         let compressed = input.fill_buf().map_err(failed)?.starts_with(&[0x1f, 0x8b]);
         let input: Box<dyn BufRead> =
             if compressed { Box::new(BufReader::new(MultiGzDecoder::new(input))) } else { Box::new(input) };
-        let mut table =
-            Self { path: path.to_owned(), input, compressed, header: Vec::new(), line: 0, text: Vec::new() };
+        let mut table = Self {
+            path: path.to_owned(),
+            input,
+            compressed,
+            separator: ',',
+            header: Vec::new(),
+            line: 0,
+            text: Vec::new(),
+        };
         if !table.next_line()? {
             return Err(table.content(1, 1, "a header line", "an empty file"));
         }
         let header = std::str::from_utf8(&table.text)
             .map_err(|_| table.content(1, 1, "a header in UTF-8", "other bytes"))?
             .trim_start_matches('\u{feff}');
-        table.header = header.trim().split(',').map(|name| name.trim().to_owned()).collect();
+        let most =
+            [';', '\t'].into_iter().find(|by| header.matches(*by).count() > header.matches(',').count());
+        let separator = most.unwrap_or(',');
+        let name = |name: &str| name.trim().trim_matches('"').to_owned();
+        table.header = header.trim().split(separator).map(name).collect();
+        table.separator = separator;
         Ok(table)
     }
 
@@ -92,8 +106,8 @@ impl Table {
         }
     }
 
-    /// Reads the next row into `values`, one number for each column (`nan` and `inf` are numbers); `false` at the end. The
-    /// text of the first column is given to `first` before it is read as a number.
+    /// Reads the next row into `values`, one number for each column (`nan` and `inf` are numbers; an empty cell is NaN, between semicolons a
+    /// comma is a point); `false` at the end. The text of the first column is given to `first` before it is read as a number.
     pub fn row(&mut self, values: &mut Vec<f64>, mut first: impl FnMut(&str)) -> Result<bool, Error> {
         if !self.next_line()? {
             return Ok(false);
@@ -103,12 +117,19 @@ impl Table {
         let Ok(text) = std::str::from_utf8(&self.text) else {
             return Err(self.content(line, 1, "numbers", "bytes that are no text"));
         };
-        for (index, cell) in text.split(',').enumerate() {
+        for (index, cell) in text.split(self.separator).enumerate() {
             let cell = cell.trim();
             if index == 0 {
                 first(cell);
             }
-            let Ok(value) = cell.parse::<f64>() else {
+            let value = if cell.is_empty() && index > 0 {
+                Ok(f64::NAN)
+            } else if self.separator == ';' && cell.contains(',') {
+                cell.replace(',', ".").parse()
+            } else {
+                cell.parse::<f64>()
+            };
+            let Ok(value) = value else {
                 let shown: String = cell.chars().take(40).collect();
                 return Err(self.content(line, index + 1, "a number", format!("'{shown}'")));
             };

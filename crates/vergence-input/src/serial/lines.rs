@@ -7,7 +7,8 @@ pub const MOST_LINE: usize = 512;
 /// Further columns are passed over.
 pub const MOST_COLUMNS: usize = 32;
 
-const IMU: [&str; 6] = ["gx", "gy", "gz", "ax", "ay", "az"];
+/// An inertial unit's; the first six, or all nine.
+const IMU: [&str; 9] = ["gx", "gy", "gz", "ax", "ay", "az", "mx", "my", "mz"];
 
 fn is_time(name: &str) -> bool {
     matches!(name, "time_ns" | "time_us" | "time_ms" | "time_s")
@@ -78,7 +79,8 @@ enum Column {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Columns {
     columns: Vec<Column>,
-    has_imu: bool,
+    /// Values of the inertial unit: none, 6, or 9 with its magnetometer.
+    imu: usize,
     /// Name and unit of each scalar.
     scalars: Vec<(String, String)>,
 }
@@ -92,7 +94,7 @@ pub struct Line {
     pub sequence: Option<u64>,
     /// The time as a whole number, and the nanoseconds that one of it lasts.
     ticks: Option<(u64, u64)>,
-    imu: [f64; 6],
+    imu: [f64; 9],
     scalars: [f64; MOST_COLUMNS],
 }
 
@@ -118,7 +120,8 @@ impl Columns {
         if let Some(place) = (1..names.len()).find(is_again) {
             return Err(NamesError::Twice { found: shown(names[place]) });
         }
-        let has_imu = IMU.iter().all(|name| names.contains(name));
+        let has = |values: &usize| IMU[..*values].iter().all(|name| names.contains(name));
+        let imu = [9, 6].into_iter().find(has).unwrap_or(0);
         let mut scalars: Vec<(String, String)> = Vec::new();
         let column = |&name: &&str| match name {
             "time_ns" => Column::Time(1.0),
@@ -126,9 +129,9 @@ impl Columns {
             "time_ms" => Column::Time(1e6),
             "time_s" => Column::Time(1e9),
             "seq" => Column::Sequence,
-            _ => match IMU.iter().position(|imu| *imu == name) {
-                Some(place) if has_imu => Column::Imu(place),
-                _ => {
+            _ => match IMU[..imu].iter().position(|imu| *imu == name) {
+                Some(place) => Column::Imu(place),
+                None => {
                     let (name, unit) = name.split_once('[').unwrap_or((name, ""));
                     let name = name.replace(|c: char| !c.is_ascii_alphanumeric() && !"_-/".contains(c), "_");
                     scalars.push((name.trim_matches('/').to_owned(), unit.trim_end_matches(']').to_owned()));
@@ -138,11 +141,11 @@ impl Columns {
         };
         let columns: Vec<Column> = names.iter().map(column).collect();
         let unnamed = scalars.iter().any(|(name, _)| name.is_empty());
-        let has_values = has_imu || !scalars.is_empty();
+        let has_values = imu > 0 || !scalars.is_empty();
         if !has_values || unnamed {
             return Err(NamesError::NoValues { found: shown(text) });
         }
-        Ok(Self { columns, has_imu, scalars })
+        Ok(Self { columns, imu, scalars })
     }
 
     /// How many numbers a line of them has.
@@ -153,7 +156,7 @@ impl Columns {
     /// The numbers of a line; `None` where it is another number of columns, or not numbers. `nan` is a value that is not there.
     pub fn read(&self, text: &str) -> Option<Line> {
         let mut line =
-            Line { time_ns: None, sequence: None, ticks: None, imu: [0.0; 6], scalars: [0.0; MOST_COLUMNS] };
+            Line { time_ns: None, sequence: None, ticks: None, imu: [0.0; 9], scalars: [0.0; MOST_COLUMNS] };
         let mut columns = self.columns.iter();
         for field in text.split(',') {
             let column = columns.next()?;
@@ -187,7 +190,7 @@ impl Columns {
 
     /// Each stream: its name, what it carries, its unit.
     pub fn streams(&self) -> impl Iterator<Item = (&str, ReadingKind, &str)> {
-        let imu = self.has_imu.then_some(("imu", ReadingKind::Imu, ""));
+        let imu = (self.imu > 0).then_some(("imu", ReadingKind::Imu, ""));
         let scalars =
             self.scalars.iter().map(|(name, unit)| (name.as_str(), ReadingKind::Scalar, unit.as_str()));
         imu.into_iter().chain(scalars)
@@ -195,7 +198,7 @@ impl Columns {
 
     /// Each stream's numbers of a line, in the order of [`Columns::streams`].
     pub fn values<'a>(&'a self, line: &'a Line) -> impl Iterator<Item = (ReadingKind, &'a [f64])> {
-        let imu = self.has_imu.then_some((ReadingKind::Imu, &line.imu[..]));
+        let imu = (self.imu > 0).then_some((ReadingKind::Imu, &line.imu[..self.imu]));
         let scalars =
             (0..self.scalars.len()).map(|place| (ReadingKind::Scalar, &line.scalars[place..=place]));
         imu.into_iter().chain(scalars)
@@ -302,6 +305,13 @@ mod tests {
         }
         assert!(columns.read("1500,1,2,3,4,5,6,nan,7").is_some());
         assert!(columns.read("1500,1,2,3,4,5,6,1e400,7").is_none());
+        // With a magnetometer, all nine are the unit's; two of its axes are none.
+        let nine = Columns::parse("gx,gy,gz,mx,my,mz,ax,ay,az").unwrap();
+        assert_eq!(nine.streams().count(), 1);
+        let line = nine.read("1,2,3,7,8,9,4,5,6").unwrap();
+        let values: Vec<Vec<f64>> = nine.values(&line).map(|(_, values)| values.to_vec()).collect();
+        assert_eq!(values, [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0]]);
+        assert_eq!(Columns::parse("gx,gy,gz,ax,ay,az,mx,my").unwrap().streams().count(), 3);
         for (no_names, what) in [
             ("1,2", "'1'"),
             ("", "''"),

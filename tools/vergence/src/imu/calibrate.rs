@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use vergence_inertial::Recording;
 use vergence_inertial::calibrate::{CalibrateParams, Calibration, TriadCalibration, calibrate};
 
+use super::input;
 use crate::failure::Failure;
 
 /// Finds bias, scale, cross-axis terms and offsets from a recording with rests and turns between them
@@ -16,6 +16,9 @@ use crate::failure::Failure;
 pub struct Args {
     /// The recording: as for `imu run`
     input: PathBuf,
+    /// The stream of a session's log; by default its only inertial unit
+    #[arg(long)]
+    stream: Option<String>,
     /// Where to write the calibration
     #[arg(short, long, value_name = "TOML")]
     out: PathBuf,
@@ -70,8 +73,8 @@ impl Args {
         };
         positive("gravity", self.gravity)?;
         self.field.map_or(Ok(()), |field| positive("field", field))?;
-        super::input::check_out(&self.out, &[Some(&self.input)])?;
-        let recording = Recording::read(&self.input).map_err(|error| Failure::work(&error))?;
+        input::check_out(&self.out, &[Some(&self.input)])?;
+        let recording = input::read(&self.input, self.stream.as_deref())?;
         let params = CalibrateParams { gravity_m_s2: self.gravity, field_ut: self.field };
         let found = calibrate(&recording.samples, &params)
             .map_err(|error| Failure::Work(format!("{}: {error}", self.input.display())))?;

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use serde_json::json;
 use vergence_geom::slerp;
 use vergence_inertial::filter::{self, Axes, Kind};
-use vergence_inertial::{Pair, Recording, Score, read_tum_orientations, score};
+use vergence_inertial::{Pair, Score, read_tum_orientations, score};
 use vergence_report::{Cell, Column, Table};
 
+use super::input;
 use crate::failure::Failure;
 
 /// Runs every filter over a recording and scores each against the truth, in degrees
@@ -18,6 +19,9 @@ use crate::failure::Failure;
 pub struct Args {
     /// The recording: as for `imu run`
     input: PathBuf,
+    /// The stream of a session's log; by default its only inertial unit
+    #[arg(long)]
+    stream: Option<String>,
     /// A trajectory in the TUM format
     #[arg(long, value_name = "TUM")]
     truth: Option<PathBuf>,
@@ -33,7 +37,7 @@ impl Args {
     /// Reads, filters, scores.
     pub fn run(self) -> Result<(), Failure> {
         let failed = |error: vergence_inertial::Error| Failure::work(&error);
-        let recording = Recording::read(&self.input).map_err(failed)?;
+        let recording = input::read(&self.input, self.stream.as_deref())?;
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
         let axes = if self.axes == "6" { Axes::Six } else { Axes::Nine };
         if axes == Axes::Nine && !recording.has_mag() {

@@ -25,7 +25,15 @@ pub fn read(path: &Path, stream: Option<&str>) -> Result<Recording, Failure> {
                 path.display()
             )));
         }
-        return Recording::read(path).map_err(|error| Failure::work(&error));
+        let recording = Recording::read(path).map_err(|error| Failure::work(&error))?;
+        let place = path.display();
+        if !recording.ignored.is_empty() {
+            log::warn!("{place}: nothing is made of the columns {}", recording.ignored.join(", "));
+        }
+        if recording.repeated > 0 {
+            log::warn!("{place}: {} rows have the time of the row before: left out", recording.repeated);
+        }
+        return Ok(recording);
     }
     let failed = |error: vergence_log::Error| Failure::work(&error);
     let mut reader = Reader::open(path).map_err(failed)?;

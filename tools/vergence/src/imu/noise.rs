@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use vergence_inertial::Recording;
 use vergence_inertial::allan::{AxisNoise, ImuNoise, imu_noise};
 use vergence_report::{Axis, Cell, Column, Page, Plot, Point, Series, Style, Table};
 
+use super::input;
 use crate::failure::Failure;
 
 /// Finds noise densities and bias instability from a recording at rest (Allan deviation), and draws the curves
@@ -17,6 +17,9 @@ use crate::failure::Failure;
 pub struct Args {
     /// The recording: as for `imu run`
     input: PathBuf,
+    /// The stream of a session's log; by default its only inertial unit
+    #[arg(long)]
+    stream: Option<String>,
     /// Folder for the plots; made where it is missing
     #[arg(short, long, value_name = "DIR", default_value = "allan")]
     out: PathBuf,
@@ -87,7 +90,7 @@ fn table(noise: &ImuNoise) -> Table {
 impl Args {
     /// Reads, analyses, draws.
     pub fn run(self) -> Result<(), Failure> {
-        let recording = Recording::read(&self.input).map_err(|error| Failure::work(&error))?;
+        let recording = input::read(&self.input, self.stream.as_deref())?;
         let noise = imu_noise(&recording.samples)
             .map_err(|error| Failure::Work(format!("{}: {error}", self.input.display())))?;
         std::fs::create_dir_all(&self.out)

@@ -5,12 +5,12 @@ use std::time::Instant;
 
 use serde::de::{Deserialize as _, IntoDeserializer as _};
 use serde_json::json;
-use vergence_inertial::Recording;
 use vergence_inertial::filter::Axes;
 use vergence_inertial::predict::{AtHorizon, Method, Track, judge};
 use vergence_report::{Cell, Column, Table};
 use vergence_time::Span;
 
+use super::input;
 use super::run::Name;
 use crate::failure::Failure;
 
@@ -22,6 +22,9 @@ use crate::failure::Failure;
 pub struct Args {
     /// The recording: as for `imu run`
     input: PathBuf,
+    /// The stream of a session's log; by default its only inertial unit
+    #[arg(long)]
+    stream: Option<String>,
     /// How far ahead, such as 21ms; several are separated by commas. At most 250ms
     #[arg(long, value_name = "TIME", value_parser = horizon, value_delimiter = ',', default_value = "21ms")]
     horizon: Vec<Span>,
@@ -49,7 +52,7 @@ fn horizon(text: &str) -> Result<Span, String> {
 impl Args {
     /// Reads, filters, predicts, judges.
     pub fn run(self) -> Result<(), Failure> {
-        let recording = Recording::read(&self.input).map_err(|error| Failure::work(&error))?;
+        let recording = input::read(&self.input, self.stream.as_deref())?;
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
         let mut filter = self.filter.0.of(recording.unit, Axes::Six, period);
         let track = Track::of(&recording, filter.as_mut());

@@ -3,7 +3,6 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::PathBuf;
-use std::time::Instant;
 
 use clap::ValueEnum;
 use serde_json::json;
@@ -13,8 +12,14 @@ use vergence_inertial::{Unit, write_orientations};
 
 use super::input;
 use crate::failure::Failure;
+use crate::timing;
 
 /// Runs an orientation filter over a recording and writes an orientation for each sample
+///
+/// The three sensors speak of one right-handed frame. At rest the accelerometer points up: +9.8 m/s² along whatever axis is up (specific force;
+/// units that give −9.8 there need their sign turned). Turning anticlockwise about an axis, seen from its tip, is positive. The
+/// magnetometer points north and, on the northern half of the earth, down; that of many units has other axes than its gyroscope and has to be
+/// turned before.
 ///
 /// How late readings are is a property of the unit that they do not tell. A table of BROAD's style is taken for one of BROAD's unit,
 /// whose readings are 4 ms late, anything else for one of a unit that is not late; what was taken is printed. For a table of a unit of
@@ -30,9 +35,9 @@ pub struct Args {
     /// The filter
     #[arg(long, default_value = "vergence")]
     filter: Name,
-    /// Sensors to read: 6 is gyroscope and accelerometer, 9 also the magnetometer
-    #[arg(long, default_value = "9", value_parser = ["6", "9"])]
-    axes: String,
+    /// Sensors to read: 6 is gyroscope and accelerometer, 9 also the magnetometer; default: 9 where there is one
+    #[arg(long, value_parser = ["6", "9"])]
+    axes: Option<String>,
     /// Looks ahead: each orientation from the whole recording (for the filter vergence)
     #[arg(long)]
     offline: bool,
@@ -92,7 +97,11 @@ impl Args {
         if let Some(calibration) = calibration {
             recording.samples.iter_mut().for_each(|(_, imu)| *imu = calibration.correct(imu));
         }
-        let axes = if self.axes == "6" { Axes::Six } else { Axes::Nine };
+        let axes = match self.axes.as_deref() {
+            Some("9") => Axes::Nine,
+            None if recording.has_mag() => Axes::Nine,
+            _ => Axes::Six,
+        };
         if axes == Axes::Nine && !recording.has_mag() {
             return Err(Failure::Call(format!(
                 "{} has no magnetometer: expected --axes 6",
@@ -111,7 +120,7 @@ impl Args {
                 self.filter.0.name()
             )));
         }
-        let started = Instant::now();
+        let started = timing::thread_cpu_ns();
         let orientations = if self.offline {
             let params = match &self.config {
                 Some(config) => filter::read_unit_params(config, unit).map_err(called)?,
@@ -123,21 +132,28 @@ impl Args {
         } else {
             filter::run(filter.as_mut(), &recording.samples)
         };
-        let ns_per_sample = started.elapsed().as_nanos() as f64 / recording.samples.len() as f64;
+        let ns_per_sample = (timing::thread_cpu_ns() - started) / recording.samples.len() as f64;
         let out = |error: std::io::Error| Failure::Work(format!("{}: {error}", self.out.display()));
         let times = recording.samples.iter().map(|(at, _)| *at);
         let file = BufWriter::new(File::create(&self.out).map_err(out)?);
         write_orientations(file, times.zip(orientations)).map_err(out)?;
-        // Where it is the rule, not the exception, the readings are in another unit. A magnetometer that is slower than the
-        // gyroscope misses many samples, but not all.
+        // Where it is the rule, not the exception, the readings are in another unit. Sensors that are slower than the gyroscope miss many
+        // samples, but not all.
+        let mut warnings = Vec::new();
         let samples = recording.samples.len() as u64;
-        for (name, expected, most) in
-            [("gyr_saturated", "rates in rad/s", samples / 4), ("mag_wrong", "a field in µT", samples - 1)]
-        {
+        for (name, expected, most) in [
+            ("gyr_saturated", "rates in rad/s", samples / 20),
+            ("acc_wrong", "accelerations in m/s² (gravity is 9.8)", samples - 1),
+            ("acc_zero", "accelerations in m/s² (gravity is 9.8)", samples - 1),
+            ("mag_wrong", "a field in µT", samples - 1),
+        ] {
             let found = filter.rejections().occurred().find(|(found, _)| *found == name);
             if let Some((_, count)) = found.filter(|(_, count)| *count > most) {
                 let input = self.input.display();
-                log::warn!("{input}: expected {expected}, found {name} in {count} of {samples} samples");
+                let warning =
+                    format!("{input}: expected {expected}, found {name} in {count} of {samples} samples");
+                log::warn!("{warning}");
+                warnings.push(warning);
             }
         }
         let rejected: serde_json::Map<String, serde_json::Value> =
@@ -150,6 +166,7 @@ impl Args {
                     "ns_per_sample": ns_per_sample,
                     "unit": unit.name(),
                     "rejected": rejected,
+                    "warnings": warnings,
                 })
             );
         } else {
