@@ -47,7 +47,13 @@ impl Found {
     pub(crate) fn check_access(&mut self, group: &str) {
         use rustix::fs::{Access, access};
         let both = Access::READ_OK | Access::WRITE_OK;
-        let Err(error) = access(&self.path, both) else { return };
+        if let Err(error) = access(&self.path, both) {
+            self.refused(error, group);
+        }
+    }
+
+    #[cfg(any(feature = "serial", feature = "hid", feature = "gamepad"))]
+    fn refused(&mut self, error: rustix::io::Errno, group: &str) {
         if error != rustix::io::Errno::ACCESS {
             self.problem = Some(format!("{}: {error}", self.path));
             return;
@@ -88,5 +94,44 @@ impl Found {
         let ids =
             |found: &Self| (found.adapter, found.vendor_id, found.product_id, found.serial_number.clone());
         ids(self) == ids(other) && (self.vendor_id.is_some() || self.path == other.path)
+    }
+}
+
+#[cfg(all(test, feature = "serial"))]
+mod tests {
+    use super::*;
+
+    /// What mends it for a device of an adapter: with its maker and product a rule for it alone, else a group.
+    fn remedy(adapter: &'static str, ids: Option<(u16, u16)>) -> String {
+        let mut found = Found::new(adapter, "/dev/node".to_owned());
+        (found.vendor_id, found.product_id) = ids.unzip();
+        found.refused(rustix::io::Errno::ACCESS, "dialout");
+        assert_eq!(found.problem.as_deref(), Some("/dev/node may not be opened by this user"));
+        found.remedy.unwrap_or_default()
+    }
+
+    #[test]
+    fn what_may_not_be_opened_has_the_command_that_mends_it() {
+        let ids = Some((0x046d, 0xc62b));
+        let rule = |which: &str| {
+            format!(
+                "echo '{which}, TAG+=\"uaccess\"' | sudo tee /etc/udev/rules.d/70-vergence-046d-c62b.rules && \
+                 sudo udevadm control --reload && sudo udevadm trigger"
+            )
+        };
+        assert_eq!(remedy("hid", ids), rule("SUBSYSTEM==\"hidraw\", KERNELS==\"*:046D:C62B.*\""));
+        let usb = "SUBSYSTEM==\"tty\", ATTRS{idVendor}==\"046d\", ATTRS{idProduct}==\"c62b\"";
+        assert_eq!(remedy("serial", ids), rule(usb));
+        let input = "SUBSYSTEM==\"input\", ATTRS{id/vendor}==\"046d\", ATTRS{id/product}==\"c62b\"";
+        assert_eq!(remedy("gamepad", ids), rule(input));
+        assert_eq!(remedy("serial", None), "sudo usermod -aG dialout $USER, then log in again");
+    }
+
+    #[test]
+    fn a_node_that_is_not_there_has_a_problem_and_nothing_that_mends_it() {
+        let mut found = Found::new("serial", "/nowhere/ttyACM0".to_owned());
+        found.check_access("dialout");
+        assert!(found.problem.as_deref().is_some_and(|problem| problem.starts_with("/nowhere/ttyACM0: ")));
+        assert_eq!(found.remedy, None);
     }
 }
