@@ -1,6 +1,7 @@
 //! The BROAD score: how far an estimate is from the truth, total, about the vertical and of the vertical.
 
 use nalgebra::UnitQuaternion;
+use vergence_geom::slerp;
 use vergence_time::Timestamp;
 
 /// Root mean square errors over the scored samples, radians.
@@ -24,6 +25,35 @@ pub struct Score {
 
 /// An instant, the estimate for it and the truth.
 pub type Pair = (Timestamp, UnitQuaternion<f64>, UnitQuaternion<f64>);
+
+/// Between estimates that are further apart nothing is interpolated, in nanoseconds.
+const GAP_NS: i64 = 250_000_000;
+
+/// Each instant of the truth with the estimate of that time, interpolated on the shortest way between the estimates before and after it where
+/// they are at most a quarter of a second apart; and how many instants have no estimate. Both in order of time.
+pub fn paired(
+    estimate: &[(Timestamp, UnitQuaternion<f64>)],
+    truth: impl Iterator<Item = (Timestamp, UnitQuaternion<f64>)>,
+) -> (Vec<Pair>, usize) {
+    let mut missing = 0;
+    let at = |time: Timestamp| {
+        let after = estimate.partition_point(|(at, _)| *at < time);
+        let to = estimate.get(after)?;
+        if to.0 == time {
+            return Some(to.1);
+        }
+        let from = estimate.get(after.checked_sub(1)?)?;
+        let (way, whole) = (time.since(from.0)?, to.0.since(from.0)?);
+        let part = way.as_secs_f64() / whole.as_secs_f64();
+        (whole.as_nanos() <= GAP_NS).then(|| slerp(&from.1, &to.1, part))
+    };
+    let pair = |(time, truth): (Timestamp, UnitQuaternion<f64>)| {
+        let found = at(time);
+        missing += usize::from(found.is_none());
+        found.map(|estimate| (time, estimate, truth))
+    };
+    (truth.filter_map(pair).collect(), missing)
+}
 
 /// The first second of movement, over which the start is aligned, in nanoseconds.
 const START_NS: i64 = 1_000_000_000;
@@ -63,4 +93,32 @@ pub fn score(pairs: &[Pair]) -> Option<Score> {
         mean_total_rad: rms(mean, &total),
         samples: errors.len(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn estimates_of_another_rate_are_interpolated_but_not_over_gaps() {
+        let turned = |ms: i64| {
+            (
+                Timestamp::from_nanos(ms * 1_000_000),
+                UnitQuaternion::from_euler_angles(0.0, 0.0, ms as f64 * 1e-3),
+            )
+        };
+        let truth: Vec<_> = (0..200).map(|k| turned(5 * k)).collect();
+        // Every third row, half a millisecond late; a hole of 0.3 s.
+        let estimate: Vec<_> = (0..67)
+            .map(|k| turned(15 * k))
+            .filter(|(at, _)| !(300..=600).contains(&(at.as_nanos() / 1_000_000)))
+            .collect();
+        let (pairs, missing) = paired(&estimate, truth.iter().copied());
+        assert!(pairs.iter().all(|(_, estimate, truth)| estimate.angle_to(truth) < 1e-7));
+        // From 290 ms (the last estimate is at 285) to 610 ms; the last estimate is at 990 ms.
+        assert_eq!((pairs.len(), missing), (200 - 65 - 1, 65 + 1));
+        let (same, none) = paired(&truth, truth.iter().copied());
+        assert!(none == 0 && same.iter().all(|(_, estimate, truth)| estimate == truth));
+        assert_eq!(paired(&[], truth.iter().copied()), (Vec::new(), 200));
+    }
 }

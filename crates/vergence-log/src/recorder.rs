@@ -21,7 +21,7 @@ pub enum Compression {
     None,
     /// Fast.
     Lz4,
-    /// Small, at its fastest level; the default.
+    /// Small; the default.
     #[default]
     Zstd,
 }

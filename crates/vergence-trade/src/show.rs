@@ -45,6 +45,20 @@ impl Trade {
     /// # Panics
     /// Where an index is not below the number of scales.
     pub fn plot(&self, cost: usize, error: usize, chosen: Option<usize>) -> Plot {
+        self.plot_with_names(cost, error, chosen, &[])
+    }
+
+    /// The same with names at measurements that are not on the front.
+    ///
+    /// # Panics
+    /// Where an index of a scale is not below the number of scales.
+    pub fn plot_with_names(
+        &self,
+        cost: usize,
+        error: usize,
+        chosen: Option<usize>,
+        names: &[(usize, String)],
+    ) -> Plot {
         let point = |index: usize| {
             let m = &self.measurements[index];
             let (c, e) = (&self.costs[cost], &self.errors[error]);
@@ -56,7 +70,11 @@ impl Trade {
         };
         let front = self.pareto(cost, error);
         let labelled = |i: &usize| point(*i).labelled(self.short_label(*i));
-        let others = (0..self.measurements.len()).filter(|i| !front.contains(i)).map(point).collect();
+        let named = |i: usize| match names.iter().find(|(index, _)| *index == i) {
+            Some((_, name)) => point(i).labelled(name.clone()),
+            None => point(i),
+        };
+        let others = (0..self.measurements.len()).filter(|i| !front.contains(i)).map(named).collect();
         let mut plot =
             Plot::new(self.title.clone(), Axis::log(self.costs[cost].title()), self.error_axis(error))
                 .with(Series::new("beaten by another", Style::FaintPoints, others))

@@ -52,6 +52,15 @@ impl Failure {
         }
     }
 
+    /// Makes the folder for results where it is missing: before the work, that is not lost over one that cannot be made.
+    pub fn unless_folder(path: &Path) -> Result<(), Self> {
+        if path.exists() && !path.is_dir() {
+            return Err(Self::Call(format!("{}: expected a folder, found a file", path.display())));
+        }
+        std::fs::create_dir_all(path)
+            .map_err(|error| Self::Work(format!("{}: cannot be made: {error}", path.display())))
+    }
+
     /// What should be at `path` cannot be written there.
     pub fn unwritable(path: &Path, error: &dyn std::error::Error) -> Self {
         Self::Work(format!("{}: {error}", path.display()))

@@ -16,6 +16,8 @@ use vergence_log::{
 };
 use vergence_time::{Span, Timestamp};
 
+pub use gather::{INERTIAL_UNIT, TRUTHS};
+
 use crate::failure::Failure;
 
 /// Says what is in a session log, mends it, cuts, merges and compares logs

@@ -40,7 +40,7 @@ enum What {
     /// Every orientation filter, each at several positions of its main knob: time per sample against degrees
     ///
     /// Means over recordings with a truth. Written to the folder: trade.html, trade.json, a plot for 9 and one for 6 axes
-    /// (.svg).
+    /// (.svg), and with --budget or --error imu.toml, which `imu run --config` takes.
     Imu(imu::ImuTrade),
     /// Smoothing filters, each at several positions of its knobs: jitter left against error and lag
     ///
@@ -148,7 +148,7 @@ impl RenderTrade {
             _ => None,
         };
         let scenes = self.scenes_or_sample()?;
-        self.make_folder()?;
+        Failure::unless_folder(&self.output)?;
         let plan = Plan { scenes, size: self.size, bench_view: self.view.is_some(), quick: self.quick };
         let measured = measure::measure(&plan)?;
         let cost_scale = match self.cost {
@@ -169,14 +169,6 @@ impl RenderTrade {
         self.write(&measured, cost_scale, error_scale, chosen)?;
         self.print(&measured, cost_scale, error_scale, chosen);
         choice.map(|_| ()).map_err(|error| Failure::work(&error))
-    }
-
-    /// Makes the folder before anything is measured: minutes are not lost over one that cannot be made.
-    fn make_folder(&self) -> Result<(), Failure> {
-        if self.output.exists() && !self.output.is_dir() {
-            return Err(Failure::Call(format!("{}: expected a folder, found a file", self.output.display())));
-        }
-        std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))
     }
 
     /// The scenes that were named, else the sample room.

@@ -10,6 +10,7 @@
 
 mod alignment;
 mod ellipsoid;
+mod gyroscope;
 mod magnetometer;
 
 use std::path::Path;
@@ -20,6 +21,7 @@ use vergence_sense::Imu;
 use vergence_time::Timestamp;
 
 use crate::Error;
+use crate::frames::SensorAxes;
 use crate::still::still_stretches;
 use alignment::{Alignment, Turn};
 use ellipsoid::{Ellipsoid, Prior, Reading};
@@ -40,9 +42,9 @@ impl Default for CalibrateParams {
     }
 }
 
-/// What a triad makes of the truth, with standard deviations.
+/// What a triad makes of the truth, with standard deviations. What a file does not name is as in a triad without errors.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct TriadCalibration {
     /// In the unit of the sensor.
     pub offset: [f64; 3],
@@ -58,6 +60,12 @@ pub struct TriadCalibration {
     pub residual: f64,
 }
 
+impl Default for TriadCalibration {
+    fn default() -> Self {
+        unknown(0.0)
+    }
+}
+
 impl TriadCalibration {
     /// The true vector of a measured one; `None` where the matrix is singular.
     pub fn correct(&self, measured: &Vector3<f64>) -> Option<Vector3<f64>> {
@@ -70,9 +78,10 @@ impl TriadCalibration {
     }
 }
 
-/// Calibration of an inertial unit.
+/// Calibration of an inertial unit. What a file does not name is as in a unit without errors: one that is written by hand needs only what it
+/// changes.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[serde(default, deny_unknown_fields)]
 pub struct Calibration {
     /// Bias of the gyroscope, rad/s.
     pub gyr_bias_rad_s: [f64; 3],
@@ -85,8 +94,26 @@ pub struct Calibration {
     /// Of the accelerometer, m/s².
     pub accelerometer: TriadCalibration,
     /// Of the magnetometer, µT; `None` where there is none, or nothing could be told.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub magnetometer: Option<TriadCalibration>,
+    /// The axes in which the readings were taken before they were calibrated, where they are not those of the sensors: `[axes]` with `gyr`, `acc`
+    /// and `mag`, such as `mag = "y,x,-z"`.
+    #[serde(skip_serializing_if = "SensorAxes::is_same")]
+    pub axes: SensorAxes,
+}
+
+impl Default for Calibration {
+    fn default() -> Self {
+        Self {
+            gyr_bias_rad_s: [0.0; 3],
+            gyr_bias_sd_rad_s: [f64::INFINITY; 3],
+            rests: 0,
+            not_observed: Vec::new(),
+            accelerometer: TriadCalibration::default(),
+            magnetometer: None,
+            axes: SensorAxes::default(),
+        }
+    }
 }
 
 /// The smallest determinant of a triad's matrix that can be undone: axes that read half as much as they should have 0.125.
@@ -127,6 +154,7 @@ impl Calibration {
 
     /// The reading of a unit without these errors.
     pub fn correct(&self, imu: &Imu) -> Imu {
+        let imu = self.axes.of(imu);
         let magnetic =
             |mag: Vector3<f64>| self.magnetometer.map_or(Some(mag), |m| m.correct(&mag)).unwrap_or(mag);
         Imu {
@@ -189,7 +217,7 @@ fn variance_per_sample(
     if freedom > 0.0 { squares / freedom } else { 0.0 }
 }
 
-/// Calibrates from `samples`.
+/// Calibrates from `samples`. Stretches that look still but turn at different rates are no rests.
 ///
 /// # Errors
 /// [`Error::Unusable`] where the recording has no rest of a second.
@@ -214,14 +242,21 @@ pub fn calibrate(samples: &[(Timestamp, Imu)], params: &CalibrateParams) -> Resu
                 middle: stretch.start + stretch.len() / 2,
                 gyr: mean(&|imu| Some(imu.gyr_rad_s)).unwrap_or_default(),
                 acc: mean(&|imu| Some(imu.acc_m_s2)).unwrap_or_default(),
-                mag: mean(&|imu| imu.mag_ut),
+                mag: mean(&|imu| imu.mag_ut.filter(|mag| mag.sum().is_finite())),
                 samples: stretch.len(),
             }
         })
         .collect();
 
-    let (bias, bias_sd) =
-        gyroscope_bias(&rests, variance_per_sample(samples, &stretches, |imu| Some(imu.gyr_rad_s)));
+    let gyr_variance = variance_per_sample(samples, &stretches, |imu| Some(imu.gyr_rad_s));
+    let gyroscope::Told { bias, deviations: bias_sd, at_rest, not_observed: unseen } =
+        gyroscope::told(&rests, gyr_variance);
+    not_observed.extend(unseen);
+    let kept = |index: usize| at_rest.get(index) == Some(&true);
+    let stretches: Vec<_> =
+        stretches.into_iter().enumerate().filter(|(i, _)| kept(*i)).map(|(_, stretch)| stretch).collect();
+    let rests: Vec<Rest> =
+        rests.into_iter().enumerate().filter(|(i, _)| kept(*i)).map(|(_, rest)| rest).collect();
     let acc_variance = variance_per_sample(samples, &stretches, |imu| Some(imu.acc_m_s2));
     let point = |rest: &Rest| {
         let noise = (acc_variance / rest.samples as f64).sqrt().max(1e-9 * params.gravity_m_s2);
@@ -245,7 +280,9 @@ pub fn calibrate(samples: &[(Timestamp, Imu)], params: &CalibrateParams) -> Resu
             )
         }
         None => {
-            not_observed.push("accelerometer: nothing; its rests do not measure a vector".to_owned());
+            let why =
+                if rests.is_empty() { "there are no rests" } else { "its rests do not measure a vector" };
+            not_observed.push(format!("accelerometer: nothing; {why}"));
             unknown(params.gravity_m_s2)
         }
     };
@@ -258,20 +295,8 @@ pub fn calibrate(samples: &[(Timestamp, Imu)], params: &CalibrateParams) -> Resu
         not_observed,
         accelerometer,
         magnetometer,
+        axes: SensorAxes::default(),
     })
-}
-
-/// Weighted mean of the rests, its standard deviation widened by how much they disagree (a bias that wanders).
-fn gyroscope_bias(rests: &[Rest], variance: f64) -> (Vector3<f64>, Vector3<f64>) {
-    let samples: f64 = rests.iter().map(|rest| rest.samples as f64).sum();
-    let mean = rests.iter().map(|rest| rest.gyr * rest.samples as f64).sum::<Vector3<f64>>() / samples;
-    let spread = Vector3::from_fn(|axis, _| {
-        let between: f64 =
-            rests.iter().map(|rest| (rest.gyr[axis] - mean[axis]).powi(2) * rest.samples as f64).sum();
-        let between = if rests.len() > 2 { between / (rests.len() - 1) as f64 } else { 0.0 };
-        (variance.max(between) / samples).sqrt()
-    });
-    (mean, spread)
 }
 
 /// How the unit turned between two rests, and the directions that a sensor saw in them; `None` where the gyroscope has a

@@ -157,7 +157,13 @@ pub fn read_orientations(path: &Path) -> Result<Vec<(Timestamp, UnitQuaternion<f
         let q = Quaternion::new(values[1], values[2], values[3], values[4]);
         let Some(q) = UnitQuaternion::try_new(q, 1e-6).filter(|q| q.coords.iter().all(|v| v.is_finite()))
         else {
-            return Err(table.content(table.line(), 2, "a quaternion longer than zero", q));
+            let found = values[1..5].iter().map(f64::to_string).collect::<Vec<_>>().join(",");
+            return Err(table.content(
+                table.line(),
+                2,
+                "a quaternion of four finite numbers, not all zero",
+                found,
+            ));
         };
         all.push((at, q));
     }

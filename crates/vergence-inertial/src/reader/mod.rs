@@ -5,7 +5,7 @@ mod euroc;
 mod table;
 mod tum;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use vergence_sense::Imu;
@@ -49,18 +49,31 @@ pub struct Truth {
 /// times are in another unit.
 pub const RATES_HZ: (f64, f64) = (5.0, 50_000.0);
 
+/// The table of a recording: the file itself, or that of EuRoC's folders.
+fn table_of(path: &Path) -> Result<PathBuf, Error> {
+    const INSIDE: [&str; 3] = ["data.csv", "imu0/data.csv", "mav0/imu0/data.csv"];
+    if !path.is_dir() {
+        return Ok(path.to_owned());
+    }
+    INSIDE.into_iter().map(|inner| path.join(inner)).find(|inner| inner.is_file()).ok_or_else(|| {
+        Error::Mismatch {
+            path: path.to_owned(),
+            expected: format!("a folder with {}", INSIDE.join(", or ")),
+            found: "none of them".to_owned(),
+        }
+    })
+}
+
 impl Recording {
     /// Reads a recording: a table `t_s,gyr_x,…,acc_z[,mag_x,…][,gt_qw,…][,gt_px,…][,movement]` (rad/s, m/s², µT; BROAD's style; also `t_ms`, `t_us` or
     /// `t_ns`, between commas, semicolons or tabs, columns in any order among others, empty cells for NaN) or
-    /// EuRoC's `imu0/data.csv` (or its folder), each also compressed by gzip.
+    /// EuRoC's `imu0/data.csv` (or its folder, or one of the two around that: `mav0`, and what has it in it), each also compressed by gzip.
     ///
     /// # Errors
     /// File, line and column of the first fault: missing columns, numbers that are none, time that goes back,
     /// truncated compression, a rate outside of [`RATES_HZ`].
     pub fn read(path: &Path) -> Result<Self, Error> {
-        let inner = path.join("data.csv");
-        let path = if path.is_dir() { &inner } else { path };
-        let mut table = Table::open(path)?;
+        let mut table = Table::open(&table_of(path)?)?;
         let recording = if table.header().first().is_some_and(|name| name.starts_with("#timestamp")) {
             euroc::read(&mut table)?
         } else {

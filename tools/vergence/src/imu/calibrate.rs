@@ -4,13 +4,14 @@ use std::path::PathBuf;
 
 use vergence_inertial::calibrate::{CalibrateParams, Calibration, TriadCalibration, calibrate};
 
-use super::input;
+use super::{input, output};
 use crate::failure::Failure;
 
 /// Finds bias, scale, cross-axis terms and offsets from a recording with rests and turns between them
 ///
 /// Lay the unit down or hold it still for two seconds in each of nine or more directions, and turn it about all axes in
-/// between. One rest alone gives the bias of the gyroscope. What could not be observed is said, and stays as it was.
+/// between. One rest alone gives the bias of the gyroscope. What could not be observed is said, and stays as it was: of a recording in
+/// which the unit never rests (a flight), the bias too.
 /// A triad measures `matrix * true + offset`; deviations (`_sd`) are standard deviations.
 #[derive(clap::Args)]
 pub struct Args {
@@ -19,6 +20,8 @@ pub struct Args {
     /// The stream of a session's log; by default its only inertial unit
     #[arg(long)]
     stream: Option<String>,
+    #[command(flatten)]
+    turns: input::Turns,
     /// Where to write the calibration
     #[arg(short, long, value_name = "TOML")]
     out: PathBuf,
@@ -74,14 +77,28 @@ impl Args {
         positive("gravity", self.gravity)?;
         self.field.map_or(Ok(()), |field| positive("field", field))?;
         input::check_out(&self.out, &[Some(&self.input)])?;
-        let recording = input::read(&self.input, self.stream.as_deref())?;
+        if self.json && output::is_stdout(&self.out) {
+            return Err(Failure::Call("--json: expected a file for --out, found - (stdout)".to_owned()));
+        }
+        let axes = self.turns.axes()?;
+        let mut recording = input::read(&self.input, self.stream.as_deref())?;
+        recording.samples.iter_mut().for_each(|(_, imu)| *imu = axes.of(imu));
+        let (warnings, _) = input::checked_frames(&recording, &self.input);
         let params = CalibrateParams { gravity_m_s2: self.gravity, field_ut: self.field };
-        let found = calibrate(&recording.samples, &params)
+        let mut found = calibrate(&recording.samples, &params)
             .map_err(|error| Failure::Work(format!("{}: {error}", self.input.display())))?;
+        found.axes = axes;
         let text = toml::to_string(&found).map_err(|error| Failure::work(&error))?;
-        std::fs::write(&self.out, text).map_err(|e| Failure::Work(format!("{}: {e}", self.out.display())))?;
+        if output::is_stdout(&self.out) {
+            print!("{text}");
+            return Ok(());
+        }
+        std::fs::write(&self.out, text)
+            .map_err(|e| Failure::Work(format!("{}: cannot be written: {e}", self.out.display())))?;
         if self.json {
-            println!("{}", serde_json::to_string(&found).map_err(|error| Failure::work(&error))?);
+            let mut object = serde_json::to_value(&found).map_err(|error| Failure::work(&error))?;
+            object["warnings"] = serde_json::json!(warnings);
+            println!("{object}");
         } else {
             show_all(&found);
             println!("written: {}", self.out.display());

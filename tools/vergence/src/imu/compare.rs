@@ -3,18 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
-use vergence_geom::slerp;
 use vergence_inertial::filter::{self, Axes, Kind};
-use vergence_inertial::{Pair, Score, read_tum_orientations, score};
+use vergence_inertial::{Score, score};
 use vergence_report::{Cell, Column, Table};
 
 use super::input;
+use super::truth::Truth;
 use crate::failure::Failure;
 
 /// Runs every filter over a recording and scores each against the truth, in degrees
 ///
-/// The truth is that of the recording, or a trajectory in the TUM format (lines `t x y z qx qy qz qw`, world with z up)
-/// with --truth: then every pose of it counts, and the heading only after aligning the start.
+/// The truth is that of the recording, or with --truth another one. Of a trajectory (lines `t x y z qx qy qz qw`, world with z up) every pose
+/// counts, and the heading only after aligning the start.
 #[derive(clap::Args)]
 pub struct Args {
     /// The recording: as for `imu run`
@@ -22,9 +22,11 @@ pub struct Args {
     /// The stream of a session's log; by default its only inertial unit
     #[arg(long)]
     stream: Option<String>,
-    /// A trajectory in the TUM format
-    #[arg(long, value_name = "TUM")]
+    /// A truth as for `imu eval`: a trajectory in the TUM format, EuRoC's, orientations
+    #[arg(long, value_name = "TRUTH")]
     truth: Option<PathBuf>,
+    #[command(flatten)]
+    corrections: input::Corrections,
     /// Sensors to read: 6 is gyroscope and accelerometer, 9 also the magnetometer
     #[arg(long, default_value = "6", value_parser = ["6", "9"])]
     axes: String,
@@ -36,8 +38,20 @@ pub struct Args {
 impl Args {
     /// Reads, filters, scores.
     pub fn run(self) -> Result<(), Failure> {
-        let failed = |error: vergence_inertial::Error| Failure::work(&error);
-        let recording = input::read(&self.input, self.stream.as_deref())?;
+        let mut recording = input::read(&self.input, self.stream.as_deref())?;
+        let truth = match &self.truth {
+            Some(path) => Truth::read(path)?,
+            // Before anything is corrected; of a log also what is not beside the samples.
+            None if input::is_log(&self.input) && recording.truth.is_empty() => Truth::read(&self.input)?,
+            None if recording.truth.is_empty() => {
+                return Err(Failure::Work(format!(
+                    "{}: expected a truth (columns gt_qw,gt_qx,gt_qy,gt_qz), found none: give one by --truth",
+                    self.input.display()
+                )));
+            }
+            None => Truth::Rows(Box::new(recording.clone())),
+        };
+        self.corrections.apply(&mut recording)?;
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
         let axes = if self.axes == "6" { Axes::Six } else { Axes::Nine };
         if axes == Axes::Nine && !recording.has_mag() {
@@ -46,20 +60,20 @@ impl Args {
                 self.input.display()
             )));
         }
-        let truth = self.truth.as_deref().map(read_tum_orientations).transpose().map_err(failed)?;
+        let (warnings, _) = input::checked_frames(&recording, &self.input);
+        let path: &Path = self.truth.as_deref().unwrap_or(&self.input);
         let mut scores = Vec::new();
         for kind in Kind::ALL {
             let estimates = filter::run(kind.of(recording.unit, axes, period).as_mut(), &recording.samples);
             let times = recording.samples.iter().map(|(at, _)| *at);
             let estimate: Vec<_> = times.zip(estimates).collect();
-            let pairs = match &truth {
-                Some(truth) => between(&estimate, truth),
-                None => recording.scored(&estimate, &self.input).map_err(failed)?,
-            };
+            let (pairs, _) = truth.pairs(&estimate, &self.input, path)?;
             let score = score(&pairs).ok_or_else(|| self.nothing())?;
             scores.push((kind, score));
         }
-        self.print(&scores, axes);
+        // Without a magnetometer, or in a world that knows no north, the heading says nothing.
+        let first = if axes == Axes::Six || !truth.knows_north() { 2 } else { 0 };
+        self.print(&scores, first, &warnings);
         Ok(())
     }
 
@@ -71,7 +85,7 @@ impl Args {
         ))
     }
 
-    fn print(&self, scores: &[(Kind, Score)], axes: Axes) {
+    fn print(&self, scores: &[(Kind, Score)], first: usize, warnings: &[String]) {
         let row = |s: &Score| {
             let absolute = [s.total_rad, s.heading_rad];
             let relative = [s.inclination_rad, s.start_heading_rad, s.start_total_rad, s.mean_total_rad];
@@ -85,8 +99,6 @@ impl Args {
             "start_total_deg",
             "mean_total_deg",
         ];
-        // Without a magnetometer, or in a world that knows no north, the heading says nothing.
-        let first = if axes == Axes::Six || self.truth.is_some() { 2 } else { 0 };
         if self.json {
             let filters = scores.iter().map(|(kind, score)| {
                 let mut object: serde_json::Map<_, _> = names
@@ -98,7 +110,9 @@ impl Args {
                 object.insert("samples".to_owned(), json!(score.samples));
                 (kind.name().to_owned(), serde_json::Value::Object(object))
             });
-            println!("{}", serde_json::Value::Object(filters.collect()));
+            let mut object: serde_json::Map<_, _> = filters.collect();
+            object.insert("warnings".to_owned(), json!(warnings));
+            println!("{}", serde_json::Value::Object(object));
             return;
         }
         let titles = std::iter::once("filter").chain(names.into_iter().skip(first));
@@ -110,17 +124,4 @@ impl Args {
         println!("{}", table.to_text());
         println!("{} poses compared", scores.first().map_or(0, |(_, score)| score.samples));
     }
-}
-
-type Stamped = (vergence_time::Timestamp, nalgebra::UnitQuaternion<f64>);
-
-/// Each pose of the truth with the estimate of its time, interpolated between samples.
-fn between(estimate: &[Stamped], truth: &[Stamped]) -> Vec<Pair> {
-    let pair = |(time, truth): &Stamped| {
-        let after = estimate.partition_point(|(at, _)| at < time);
-        let (to, from) = (estimate.get(after)?, estimate.get(after.checked_sub(1)?)?);
-        let part = time.since(from.0)?.as_secs_f64() / to.0.since(from.0)?.as_secs_f64();
-        Some((*time, slerp(&from.1, &to.1, part), *truth))
-    };
-    truth.iter().filter_map(pair).collect()
 }

@@ -5,8 +5,12 @@ mod compare;
 mod eval;
 mod input;
 mod noise;
+mod output;
 mod predict;
 mod run;
+mod truth;
+
+pub use input::{Corrections, corrected};
 
 use crate::failure::Failure;
 

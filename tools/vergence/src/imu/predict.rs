@@ -1,7 +1,6 @@
 //! `vergence imu predict`: how well the orientation some milliseconds ahead is foretold.
 
 use std::path::PathBuf;
-use std::time::Instant;
 
 use serde::de::{Deserialize as _, IntoDeserializer as _};
 use serde_json::json;
@@ -13,11 +12,13 @@ use vergence_time::Span;
 use super::input;
 use super::run::Name;
 use crate::failure::Failure;
+use crate::timing::thread_cpu_ns;
 
 /// Predicts orientation over a recording and compares it with what came true, in degrees
 ///
 /// Judged by what the filter says later, and by the truth of the recording where it has one (the way since the prediction
-/// was made). Where the recording says when there is movement, only predictions made then count.
+/// was made). Where the recording says when there is movement, only predictions made then count. Positions are not predicted here.
+/// `*` is the least mean at its horizon, by the truth where there is one.
 #[derive(clap::Args)]
 pub struct Args {
     /// The recording: as for `imu run`
@@ -25,6 +26,8 @@ pub struct Args {
     /// The stream of a session's log; by default its only inertial unit
     #[arg(long)]
     stream: Option<String>,
+    #[command(flatten)]
+    corrections: input::Corrections,
     /// How far ahead, such as 21ms; several are separated by commas. At most 250ms
     #[arg(long, value_name = "TIME", value_parser = horizon, value_delimiter = ',', default_value = "21ms")]
     horizon: Vec<Span>,
@@ -32,7 +35,7 @@ pub struct Args {
     #[arg(long, value_parser = ["hold", "constant", "damped", "desp", "adaptive"])]
     method: Option<String>,
     /// The filter whose orientation is predicted, without magnetometer
-    #[arg(long, default_value = "vqf")]
+    #[arg(long, default_value = "vergence")]
     filter: Name,
     /// Print one JSON object
     #[arg(long)]
@@ -40,6 +43,9 @@ pub struct Args {
 }
 
 fn horizon(text: &str) -> Result<Span, String> {
+    if text.trim().parse::<f64>().is_ok() {
+        return Err(format!("expected a time with its unit, found {text}: {}ms?", text.trim()));
+    }
     let parsed: serde::de::value::StrDeserializer<'_, serde::de::value::Error> = text.into_deserializer();
     let seconds =
         vergence_config::Duration::deserialize(parsed).map_err(|error| error.to_string())?.seconds();
@@ -52,7 +58,8 @@ fn horizon(text: &str) -> Result<Span, String> {
 impl Args {
     /// Reads, filters, predicts, judges.
     pub fn run(self) -> Result<(), Failure> {
-        let recording = input::read(&self.input, self.stream.as_deref())?;
+        let mut recording = input::read(&self.input, self.stream.as_deref())?;
+        self.corrections.apply(&mut recording)?;
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
         let mut filter = self.filter.0.of(recording.unit, Axes::Six, period);
         let track = Track::of(&recording, filter.as_mut());
@@ -83,6 +90,9 @@ impl Args {
             println!("{}", json!({ "filter": self.filter.0.name(), "methods": methods }));
         } else {
             println!("{}", self.table(&judged).to_text());
+            let by_truth = judged.iter().any(|(_, at, _)| at.iter().any(|at| at.by_truth.is_some()));
+            let by = if by_truth { "by the truth" } else { "by the filter's later orientation" };
+            println!("degrees, of orientations from {}; *: least mean {by}", self.filter.0.name());
         }
         Ok(())
     }
@@ -114,13 +124,13 @@ impl Args {
     }
 }
 
-/// Time of one observation with one prediction 21 ms ahead.
+/// Processor time of one observation with one prediction 21 ms ahead.
 fn ns_per_observation(method: Method, track: &Track) -> f64 {
     let mut predictor = method.rotation();
-    let started = Instant::now();
+    let started = thread_cpu_ns();
     for ((time, estimate), rate) in track.times.iter().zip(&track.estimates).zip(&track.rates_rad_s) {
         predictor.observe(*time, estimate, rate);
         std::hint::black_box(predictor.predict(time.saturating_add(Span::from_millis(21))));
     }
-    started.elapsed().as_nanos() as f64 / track.times.len().max(1) as f64
+    (thread_cpu_ns() - started) / track.times.len().max(1) as f64
 }

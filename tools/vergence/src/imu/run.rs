@@ -1,16 +1,13 @@
 //! `vergence imu run`: a filter over a recording.
 
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use serde_json::json;
-use vergence_inertial::calibrate::Calibration;
+use vergence_inertial::Unit;
 use vergence_inertial::filter::{self, Axes, Kind};
-use vergence_inertial::{Unit, write_orientations};
 
-use super::input;
+use super::{input, output};
 use crate::failure::Failure;
 use crate::timing;
 
@@ -19,16 +16,22 @@ use crate::timing;
 /// The three sensors speak of one right-handed frame. At rest the accelerometer points up: +9.8 m/s² along whatever axis is up (specific force;
 /// units that give −9.8 there need their sign turned). Turning anticlockwise about an axis, seen from its tip, is positive. The
 /// magnetometer points north and, on the northern half of the earth, down; that of many units has other axes than its gyroscope and has to be
-/// turned before.
+/// turned before: by --turn, or by `[axes]` in the file of --calibration.
+///
+/// How gravity and the field turn in the recording tells whether the three fit together: where they do not, and another order or other signs
+/// of the axes (or degrees for radians) clearly explain it, that is warned of with what would mend it. Turning does not tell: the sign of all
+/// three axes of the accelerometer or of the magnetometer together (it goes as the dip of the field that is printed: negative is right
+/// south of the magnetic equator, and wrong north of it), and whether the gyroscope has its signs turned or all three sensors are left-handed.
 ///
 /// How late readings are is a property of the unit that they do not tell. A table of BROAD's style is taken for one of BROAD's unit,
 /// whose readings are 4 ms late, anything else for one of a unit that is not late; what was taken is printed. For a table of a unit of
 /// your own give --unit unknown, or its lag in a --config (latency_s, acc_lag_s, mag_lag_s, gyr_averaged).
 #[derive(clap::Args)]
 pub struct Args {
-    /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz), EuRoC's imu0 (its folder or data.csv),
-    /// or a session's log (.mcap)
-    input: PathBuf,
+    /// A table `t_s,gyr_x,…,acc_z[,mag_x,…]` (rad/s, m/s², µT; .csv or .csv.gz; - for stdin), EuRoC's imu0 (data.csv, its folder or one around
+    /// it), or a session's log (.mcap)
+    #[arg(required_unless_present = "print_config")]
+    input: Option<PathBuf>,
     /// The stream of a session's log; by default its only inertial unit
     #[arg(long)]
     stream: Option<String>,
@@ -41,19 +44,22 @@ pub struct Args {
     /// Looks ahead: each orientation from the whole recording (for the filter vergence)
     #[arg(long)]
     offline: bool,
-    /// Parameters of the filter: TOML, one key for each knob as in the documentation of vergence-inertial
+    /// Parameters of the filter: TOML, one key for each knob; --print-config shows them all
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
+    /// Prints the filter's knobs as a file for --config, each with its meaning, range and default, and does nothing else
+    #[arg(long, conflicts_with_all = ["input", "out", "config", "json"])]
+    print_config: bool,
     /// The unit that recorded, for the filter vergence: broad (readings 4 ms late) or unknown (not late). Default: broad for a table
     /// of BROAD's style, else unknown
     #[arg(long, value_parser = Unit::ALL.map(Unit::name))]
     unit: Option<String>,
-    /// What `imu calibrate` found of this unit: taken out of each reading before the filter sees it
-    #[arg(long, value_name = "FILE.toml")]
-    calibration: Option<PathBuf>,
-    /// Where to write `t_s,qw,qx,qy,qz`: rotations of sensor-frame vectors into the earth frame, ENU
-    #[arg(short, long)]
-    out: PathBuf,
+    #[command(flatten)]
+    corrections: input::Corrections,
+    /// Where to write `t_s,qw,qx,qy,qz`: rotations of sensor-frame vectors into the earth frame, ENU; compressed where the name ends
+    /// with .gz; - for stdout
+    #[arg(short, long, required_unless_present = "print_config")]
+    out: Option<PathBuf>,
     /// Prints one JSON object
     #[arg(long)]
     json: bool,
@@ -85,28 +91,29 @@ impl ValueEnum for Name {
 impl Args {
     /// Reads, filters, writes.
     pub fn run(self) -> Result<(), Failure> {
-        let read = [Some(&self.input), self.config.as_ref(), self.calibration.as_ref()];
-        input::check_out(&self.out, &read)?;
-        let calibration = self.calibration.as_deref().map(Calibration::read).transpose();
-        let calibration = calibration.map_err(|error| Failure::call(&error))?;
-        let mut recording = input::read(&self.input, self.stream.as_deref())?;
-        if let Some(unit) = self.unit.as_deref().and_then(Unit::from_name) {
-            recording.unit = unit;
+        let named = self.unit.as_deref().and_then(Unit::from_name);
+        let (Some(input), Some(out), false) = (&self.input, &self.out, self.print_config) else {
+            // Without a recording only what was said is known of the unit.
+            print!("{}", self.filter.0.config_text(named.unwrap_or_default()));
+            return Ok(());
+        };
+        let read = [Some(input), self.config.as_ref(), self.corrections.calibration.as_ref()];
+        input::check_out(out, &read)?;
+        if self.json && output::is_stdout(out) {
+            return Err(Failure::Call("--json: expected a file for --out, found - (stdout)".to_owned()));
         }
+        let corrections = self.corrections.read()?;
+        let mut recording = input::read(input, self.stream.as_deref())?;
+        recording.unit = named.unwrap_or(recording.unit);
         let unit = recording.unit;
-        if let Some(calibration) = calibration {
-            recording.samples.iter_mut().for_each(|(_, imu)| *imu = calibration.correct(imu));
-        }
+        input::corrected(&corrections, &mut recording);
         let axes = match self.axes.as_deref() {
             Some("9") => Axes::Nine,
             None if recording.has_mag() => Axes::Nine,
             _ => Axes::Six,
         };
         if axes == Axes::Nine && !recording.has_mag() {
-            return Err(Failure::Call(format!(
-                "{} has no magnetometer: expected --axes 6",
-                self.input.display()
-            )));
+            return Err(Failure::Call(format!("{} has no magnetometer: expected --axes 6", input.display())));
         }
         let period = recording.period().ok_or_else(|| Failure::Work("fewer than two samples".to_owned()))?;
         let called = |error: vergence_inertial::Error| Failure::call(&error);
@@ -133,13 +140,11 @@ impl Args {
             filter::run(filter.as_mut(), &recording.samples)
         };
         let ns_per_sample = (timing::thread_cpu_ns() - started) / recording.samples.len() as f64;
-        let out = |error: std::io::Error| Failure::Work(format!("{}: {error}", self.out.display()));
         let times = recording.samples.iter().map(|(at, _)| *at);
-        let file = BufWriter::new(File::create(&self.out).map_err(out)?);
-        write_orientations(file, times.zip(orientations)).map_err(out)?;
+        output::write(out, times.zip(orientations))?;
+        let (mut warnings, dip_deg) = input::checked_frames(&recording, input);
         // Where it is the rule, not the exception, the readings are in another unit. Sensors that are slower than the gyroscope miss many
         // samples, but not all.
-        let mut warnings = Vec::new();
         let samples = recording.samples.len() as u64;
         for (name, expected, most) in [
             ("gyr_saturated", "rates in rad/s", samples / 20),
@@ -149,9 +154,10 @@ impl Args {
         ] {
             let found = filter.rejections().occurred().find(|(found, _)| *found == name);
             if let Some((_, count)) = found.filter(|(_, count)| *count > most) {
-                let input = self.input.display();
-                let warning =
-                    format!("{input}: expected {expected}, found {name} in {count} of {samples} samples");
+                let warning = format!(
+                    "{}: expected {expected}, found {name} in {count} of {samples} samples",
+                    input.display()
+                );
                 log::warn!("{warning}");
                 warnings.push(warning);
             }
@@ -166,18 +172,29 @@ impl Args {
                     "ns_per_sample": ns_per_sample,
                     "unit": unit.name(),
                     "rejected": rejected,
+                    "dip_deg": dip_deg,
                     "warnings": warnings,
                 })
             );
         } else {
-            println!(
-                "{} samples, {ns_per_sample:.0} ns each, unit: {}",
+            let mut text = format!(
+                "{} samples, {ns_per_sample:.0} ns each, unit: {}\n",
                 recording.samples.len(),
                 unit.name()
             );
-            for (reason, count) in &rejected {
-                println!("rejected: {reason} in {count} samples");
+            if let Some(dip_deg) = dip_deg.filter(|_| axes == Axes::Nine) {
+                let sign = if dip_deg < 0.0 {
+                    " (up: south of the magnetic equator; north of it accelerometer or magnetometer have their signs turned)"
+                } else {
+                    ""
+                };
+                text += &format!("field: {dip_deg:.0}° below the horizon{sign}\n");
             }
+            for (reason, count) in &rejected {
+                text += &format!("rejected: {reason} in {count} samples\n");
+            }
+            // Rows have stdout for themselves.
+            if output::is_stdout(out) { eprint!("{text}") } else { print!("{text}") }
         }
         Ok(())
     }

@@ -89,6 +89,9 @@ impl Gathered {
 /// What the axes of a foreign world are is a note on the stream.
 const WORLD: &str = "world";
 
+/// Which inertial unit recorded is a note on its stream: how late it is, its readings do not tell.
+pub const INERTIAL_UNIT: &str = "inertial_unit";
+
 /// What a file holds, unpacked where its first bytes say that it is compressed by gzip.
 fn bytes_of(path: &Path) -> Result<Vec<u8>, Failure> {
     let failed = |error: std::io::Error| Failure::Work(format!("{}: {error}", path.display()));
@@ -209,7 +212,8 @@ pub fn euroc(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), F
 
 pub fn broad(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), Failure> {
     let recording = Recording::read(path).map_err(|error| Failure::work(&error))?;
-    let imu = gathered.stream(StreamDesc::new("/imu").frame("imu"), Carries::Imu);
+    let desc = StreamDesc::new("/imu").frame("imu").note(INERTIAL_UNIT, recording.unit.name());
+    let imu = gathered.stream(desc, Carries::Imu);
     gathered
         .items
         .extend(recording.samples.iter().map(|(at, sample)| (Times::at(*at), Item::Imu(imu, *sample))));

@@ -16,6 +16,7 @@ use vergence_time::Span;
 use vergence_trade::{Knob, Limit, Measurement, Scale, Setting, Trade, Value};
 
 use crate::failure::Failure;
+use crate::imu::{Corrections, corrected};
 use crate::timing::thread_cpu_ns;
 
 /// Every orientation filter, each at several positions of its main knob: time per sample against degrees
@@ -24,10 +25,12 @@ pub struct ImuTrade {
     /// Folder of recordings with truth (BROAD-style .csv or .csv.gz); default: broad in the folder VERGENCE_DATA
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
+    #[command(flatten)]
+    corrections: Corrections,
     /// Folder for the results; made where it is missing
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Choose the smallest error that takes at most this time per sample, such as 100ns
+    /// Choose the smallest error that takes at most this time per sample, such as 100ns; writes imu.toml for `imu run --config`
     #[arg(long, value_name = "TIME", value_parser = nanoseconds, conflicts_with = "error")]
     budget: Option<f64>,
     /// Choose the least time that errs at most this much, such as 3deg
@@ -73,6 +76,9 @@ fn degrees(argument: &str) -> Result<f64, String> {
     Ok(angle.radians().to_degrees())
 }
 
+/// What a file for `imu run --config` sets.
+type Set = Vec<(&'static str, f64)>;
+
 /// Makes a filter for a unit, some of its sensors and a period between samples.
 type Make = Box<dyn Fn(Unit, Axes, Span) -> Box<dyn Filter>>;
 
@@ -81,33 +87,56 @@ struct Candidate {
     kind: Kind,
     /// Such as "beta 0.12"; "default" where nothing is turned.
     position: String,
+    /// The knobs that are turned.
+    set: Set,
     make: Make,
+}
+
+impl Candidate {
+    /// Whether each knob is where it is by default.
+    fn is_default(&self) -> bool {
+        let usual = self.kind.knobs(Unit::Unknown);
+        self.set
+            .iter()
+            .all(|(name, value)| usual.iter().any(|(knob, usual)| knob.name == *name && usual == value))
+    }
+
+    /// A file for `imu run --config`.
+    fn config_text(&self) -> String {
+        let mut text =
+            format!("# vergence imu run RECORDING --filter {} --config imu.toml\n", self.kind.name());
+        for (name, value) in &self.set {
+            let _ = writeln!(text, "{name} = {value:?}");
+        }
+        text
+    }
 }
 
 /// Positions of each filter's main knob; the defaults are among them.
 fn candidates(quick: bool) -> Vec<Candidate> {
     let mut all = Vec::new();
     for kind in Kind::ALL {
-        let mut turned: Vec<(String, Make)> = Vec::new();
-        let mut add = |position: String, make: Make| turned.push((position, make));
+        let mut turned: Vec<(String, Set, Make)> = Vec::new();
+        let mut add = |position: String, set: Set, make: Make| turned.push((position, set, make));
         match kind {
             _ if quick => {}
             Kind::Complementary => {
                 for tau_acc_s in [0.3, 1.0, 3.0, 10.0] {
                     let params = ComplementaryParams { tau_acc_s, tau_mag_s: 3.0 * tau_acc_s };
-                    add(format!("tau_acc {tau_acc_s} s"), stream(move |_| Complementary::new(params)));
+                    let set = vec![("tau_acc_s", tau_acc_s), ("tau_mag_s", params.tau_mag_s)];
+                    add(format!("tau_acc {tau_acc_s} s"), set, stream(move |_| Complementary::new(params)));
                 }
             }
             Kind::Madgwick => {
                 for beta in [0.03, 0.06, 0.12, 0.24, 0.5] {
                     let params = MadgwickParams { beta };
-                    add(format!("beta {beta}"), stream(move |_| Madgwick::new(params)));
+                    add(format!("beta {beta}"), vec![("beta", beta)], stream(move |_| Madgwick::new(params)));
                 }
             }
             Kind::Mahony => {
                 for kp in [0.2, 0.4, 0.74, 1.5, 3.0] {
                     let params = MahonyParams { kp, ..MahonyParams::default() };
-                    add(format!("kp {kp}"), stream(move |_| Mahony::new(params)));
+                    add(format!("kp {kp}"), vec![("kp", kp)], stream(move |_| Mahony::new(params)));
                 }
             }
             Kind::VqfBasic | Kind::Vqf => {
@@ -115,7 +144,7 @@ fn candidates(quick: bool) -> Vec<Candidate> {
                 for tau_acc_s in [1.0, 2.0, 3.0, 5.0] {
                     let params = VqfParams { tau_acc_s, ..base };
                     let make = move |period: Span| Vqf::new(params, period.as_secs_f64());
-                    add(format!("tau_acc {tau_acc_s} s"), stream(make));
+                    add(format!("tau_acc {tau_acc_s} s"), vec![("tau_acc_s", tau_acc_s)], stream(make));
                 }
             }
             Kind::Vergence => {
@@ -125,7 +154,7 @@ fn candidates(quick: bool) -> Vec<Candidate> {
                         let core = Vergence::new(params, period.as_secs_f64());
                         Box::new(Stream::new(core, axes, period, Limits::default()))
                     });
-                    add(format!("window {window_s} s"), make);
+                    add(format!("window {window_s} s"), vec![("window_s", window_s)], make);
                 }
             }
             Kind::Integration => {}
@@ -133,10 +162,11 @@ fn candidates(quick: bool) -> Vec<Candidate> {
         if turned.is_empty() {
             turned.push((
                 "default".to_owned(),
+                Set::new(),
                 Box::new(move |unit, axes, period| kind.of(unit, axes, period)),
             ));
         }
-        all.extend(turned.into_iter().map(|(position, make)| Candidate { kind, position, make }));
+        all.extend(turned.into_iter().map(|(position, set, make)| Candidate { kind, position, set, make }));
     }
     all
 }
@@ -186,8 +216,8 @@ fn measure(
 
 impl ImuTrade {
     pub fn run(self) -> Result<(), Failure> {
+        Failure::unless_folder(&self.output)?;
         let recordings = self.read()?;
-        std::fs::create_dir_all(&self.output).map_err(|e| Failure::unwritable(&self.output, &e))?;
         let limit = self.budget.map(Limit::Cost).or(self.error.map(Limit::Error));
         let metric = self.metric as usize;
         let candidates = candidates(self.quick);
@@ -210,7 +240,7 @@ impl ImuTrade {
         };
         let choice = limit.map(|limit| chosen_from.choose(0, metric, limit)).transpose();
         let chosen = choice.as_ref().ok().copied().flatten();
-        self.write(&done, chosen, recordings.len())?;
+        self.write(&done, chosen, recordings.len(), &candidates)?;
         self.print(&done, chosen);
         choice.map(|_| ()).map_err(|error| Failure::work(&error))
     }
@@ -237,8 +267,10 @@ impl ImuTrade {
                 folder.display()
             )));
         }
+        let corrections = self.corrections.read()?;
         let read = |path: PathBuf| {
-            let recording = Recording::read(&path).map_err(|error| Failure::work(&error))?;
+            let mut recording = Recording::read(&path).map_err(|error| Failure::work(&error))?;
+            corrected(&corrections, &mut recording);
             Ok((path, recording))
         };
         paths.into_iter().map(read).collect()
@@ -249,6 +281,7 @@ impl ImuTrade {
         trades: &[(&str, Trade)],
         chosen: Option<usize>,
         recordings: usize,
+        candidates: &[Candidate],
     ) -> Result<(), Failure> {
         let save = |name: &str, text: &str| {
             let path = self.output.join(name);
@@ -261,12 +294,19 @@ impl ImuTrade {
         ));
         for (name, trade) in trades {
             let chosen = chosen.filter(|_| *name == self.axes);
-            let plot = trade.plot(0, metric, chosen);
+            // Candidates were measured in this order.
+            let defaults = candidates.iter().enumerate().filter(|(_, candidate)| candidate.is_default());
+            let names: Vec<(usize, String)> =
+                defaults.map(|(index, candidate)| (index, candidate.kind.name().to_owned())).collect();
+            let plot = trade.plot_with_names(0, metric, chosen, &names);
             save(&format!("imu-{name}d.svg"), &plot.to_svg().map_err(|e| Failure::work(&e))?)?;
             page = page.heading(trade.title()).plot(&plot).map_err(|e| Failure::work(&e))?;
             page = page.table(&trade.table(0, metric));
         }
         save("trade.html", &page.to_html())?;
+        if let Some(candidate) = chosen.and_then(|index| candidates.get(index)) {
+            save("imu.toml", &candidate.config_text())?;
+        }
         let json = serde_json::to_string_pretty(&self.json(trades, chosen)).map_err(|e| Failure::work(&e))?;
         save("trade.json", &json)
     }
@@ -309,6 +349,15 @@ impl ImuTrade {
                     "chosen: {} ({:.0} ns, {:.3} deg)\n",
                     m.setting, m.costs[0], m.errors[metric]
                 );
+                if let Some((_, Value::Kind(filter))) = m.setting.0.first() {
+                    let config = self.output.join("imu.toml");
+                    let config = if filter == Kind::Integration.name() {
+                        String::new()
+                    } else {
+                        format!(" --config {}", config.display())
+                    };
+                    let _ = writeln!(text, "use it: vergence imu run RECORDING --filter {filter}{config}\n");
+                }
             }
         }
         let _ = writeln!(text, "look at it: {}", self.output.join("trade.html").display());
@@ -346,6 +395,13 @@ fn trade(
     for candidate in candidates {
         bar.set_message(format!("{} {}", candidate.kind.name(), candidate.position));
         let (ns, errors) = measure(candidate, axes, recordings)?;
+        log::info!(
+            "{}, {} {}: {ns:.0} ns, {:.3} deg",
+            title,
+            candidate.kind.name(),
+            candidate.position,
+            errors[0]
+        );
         let setting = Setting(vec![
             ("filter".to_owned(), Value::from(candidate.kind.name())),
             ("knob".to_owned(), Value::from(candidate.position.as_str())),
@@ -376,6 +432,9 @@ mod tests {
             assert!(all.iter().any(|candidate| candidate.kind == kind), "{}", kind.name());
         }
         assert!(all.iter().any(|c| c.kind == Kind::Madgwick && c.position == "beta 0.12"));
+        for kind in Kind::ALL {
+            assert_eq!(all.iter().filter(|c| c.kind == kind && c.is_default()).count(), 1, "{}", kind.name());
+        }
         assert_eq!(candidates(true).len(), Kind::ALL.len());
     }
 }
