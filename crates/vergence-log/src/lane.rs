@@ -223,14 +223,17 @@ impl LaneEnd {
         self.head
     }
 
-    /// The bytes of the message that was peeked at.
-    pub(crate) fn take(&mut self, into: &mut Vec<u8>) {
-        into.clear();
-        let Some(prefix) = self.head.take() else { return };
-        into.resize(prefix.length as usize, 0);
+    /// The bytes of the message that was peeked at, in a room that only grows: what it held is written over, not wiped.
+    pub(crate) fn take<'a>(&mut self, room: &'a mut Vec<u8>) -> &'a [u8] {
+        let Some(prefix) = self.head.take() else { return &[] };
+        let length = prefix.length as usize;
+        if room.len() < length {
+            room.resize(length, 0);
+        }
         // The message was put in whole, so its bytes are there.
-        let whole = self.queue.pop_entire_slice(into).is_ok();
+        let whole = self.queue.pop_entire_slice(&mut room[..length]).is_ok();
         debug_assert!(whole);
+        &room[..length]
     }
 
     /// The other end is gone and nothing is left.

@@ -21,7 +21,7 @@ pub enum Compression {
     None,
     /// Fast.
     Lz4,
-    /// Small; the default.
+    /// Small, at its fastest level; the default.
     #[default]
     Zstd,
 }

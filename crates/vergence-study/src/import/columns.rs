@@ -247,6 +247,13 @@ pub(super) struct Bound {
     pub conventions: Conventions,
 }
 
+/// What the sizes of the row before were, as written and as numbers: nearly always those of the next.
+#[derive(Default)]
+pub(super) struct Sizes {
+    amplitude: Option<(Vec<u8>, Option<f64>)>,
+    width: Option<(Vec<u8>, Option<f64>)>,
+}
+
 impl Bound {
     pub fn new(map: &ColumnMap, header: &ByteRecord) -> Result<Self, Error> {
         let mut names: Vec<String> =
@@ -351,7 +358,13 @@ impl Bound {
 
     /// Fills the numbers and flags of `trial` from a row. False where the row is not wanted or lacks a number that is
     /// needed.
-    pub fn fill(&self, row: &ByteRecord, line: u64, trial: &mut Trial) -> Result<bool, Error> {
+    pub fn fill(
+        &self,
+        row: &ByteRecord,
+        line: u64,
+        sizes: &mut Sizes,
+        trial: &mut Trial,
+    ) -> Result<bool, Error> {
         if row.len() != self.header.len() {
             return Err(Error::Row { line, expected: self.header.len(), found: row.len() });
         }
@@ -371,8 +384,8 @@ impl Bound {
             return Err(Error::Cell { line, column, expected: "a time above zero", found: mt.to_string() });
         }
         trial.mt_s = mt * self.seconds;
-        trial.amplitude = value(at::AMPLITUDE)?;
-        trial.width = value(at::WIDTH)?.filter(|width| *width > 0.0);
+        trial.amplitude = self.repeated(row, line, at::AMPLITUDE, &mut sizes.amplitude)?;
+        trial.width = self.repeated(row, line, at::WIDTH, &mut sizes.width)?.filter(|width| *width > 0.0);
         let count = |slot: usize| -> Result<u32, Error> {
             Ok(value(slot)?.map_or(0, |count| count.clamp(0.0, 4e9) as u32))
         };
@@ -429,6 +442,27 @@ impl Bound {
         trial.temporal_outlier = flag(4)?;
         trial.repeated = flag(5)?.unwrap_or(false);
         Ok(true)
+    }
+
+    /// As [`Self::value`], of a column that says the same for rows on end.
+    fn repeated(
+        &self,
+        row: &ByteRecord,
+        line: u64,
+        slot: usize,
+        last: &mut Option<(Vec<u8>, Option<f64>)>,
+    ) -> Result<Option<f64>, Error> {
+        let Some(Source::Cell { place, .. }) = &self.numbers[slot] else {
+            return self.value(row, line, slot);
+        };
+        if let Some((cell, value)) = last
+            && cell == &row[*place]
+        {
+            return Ok(*value);
+        }
+        let value = self.value(row, line, slot)?;
+        *last = Some((row[*place].to_vec(), value));
+        Ok(value)
     }
 
     fn value(&self, row: &ByteRecord, line: u64, slot: usize) -> Result<Option<f64>, Error> {
@@ -545,11 +579,11 @@ pub(super) fn read(text: &str, map: &ColumnMap) -> Result<Imported, Error> {
     }
     let bound = Bound::new(map, &row)?;
     let mut trials = Vec::new();
-    let (mut key, mut absent) = (Vec::new(), 0u64);
+    let (mut key, mut sizes, mut absent) = (Vec::new(), Sizes::default(), 0u64);
     while reader.read_byte_record(&mut row).map_err(damaged)? {
         let line = row.position().map_or(0, csv::Position::line);
         let mut trial = Trial::default();
-        if bound.fill(&row, line, &mut trial)? {
+        if bound.fill(&row, line, &mut sizes, &mut trial)? {
             bound.key(&row, &mut key);
             bound.name(&key, &mut trial);
             trials.push(trial);

@@ -10,7 +10,7 @@ use std::sync::mpsc::sync_channel;
 use csv::ByteRecord;
 use vergence_stats::Moments;
 
-use super::columns::{Bound, ColumnMap, reader_of};
+use super::columns::{Bound, ColumnMap, Sizes, reader_of};
 use crate::Error;
 use crate::analysis::{Analysis, Key, Left, Row, finished, key_of, summarised};
 use crate::convention::{Axis, Conventions, Outliers};
@@ -174,7 +174,7 @@ pub fn stream<R: Read + Send>(
         while let Some(text) = piece.take() {
             bytes += text.len() as u64;
             progress(bytes);
-            let lines = text.iter().filter(|byte| **byte == b'\n').count() as u64;
+            let lines = memchr::memchr_iter(b'\n', &text).count() as u64;
             if give.send((number, line, text)).is_err() {
                 break;
             }
@@ -236,7 +236,7 @@ fn summed(
     let mut row = ByteRecord::new();
     let mut sums = Sums::default();
     let mut trial = Trial::default();
-    let mut key = Vec::new();
+    let (mut key, mut sizes) = (Vec::new(), Sizes::default());
     loop {
         let line = first_line + reader.position().line() - 1;
         match reader.read_byte_record(&mut row) {
@@ -244,7 +244,7 @@ fn summed(
             Ok(false) => return Ok(sums),
             Err(_) => return Err(Error::Xml { line, expected: "a row" }),
         }
-        if !bound.fill(&row, line, &mut trial)? {
+        if !bound.fill(&row, line, &mut sizes, &mut trial)? {
             sums.absent += 1;
             continue;
         }
