@@ -56,6 +56,8 @@ fn an_euroc_folder_comes_back_as_it_was() {
     let (mcap, out) = (folder.path().join("a.mcap"), folder.path().join("out"));
     let said = done(&["import", "euroc", text(&rig), "-o", text(&mcap), "--json"]);
     assert_eq!(said["dropped"], 0);
+    // The truth lies beside mav0, in TUM's format.
+    assert!(said["names"].as_array().expect("names").contains(&"/truth".into()), "{said}");
     done(&["export", "euroc", text(&mcap), "-o", text(&out), "--json"]);
     let inertial = |root: &Path| numbers(&root.join("mav0/imu0/data.csv"), ',');
     let (before, after) = (inertial(&rig), inertial(&out));
@@ -67,6 +69,13 @@ fn an_euroc_folder_comes_back_as_it_was() {
     let ours = vergence_slam::dataset::Dataset::open(&out).expect("a folder that odometry takes");
     let theirs = vergence_slam::dataset::Dataset::open(&rig).expect("a folder that odometry takes");
     assert_eq!(ours.cameras, theirs.cameras);
+    let truth = |dataset: &vergence_slam::dataset::Dataset| dataset.truth.clone().expect("a truth").poses;
+    let near = |(a, b): (&(vergence_time::Timestamp, _), &(vergence_time::Timestamp, _))| {
+        let off: vergence_geom::Rigid = std::ops::Mul::mul(vergence_geom::Rigid::inverse(&a.1), &b.1);
+        a.0 == b.0 && off.translation.vector.norm() < 1e-12
+    };
+    assert!(truth(&ours).len() > 10 && truth(&ours).len() == truth(&theirs).len());
+    assert!(truth(&ours).iter().zip(&truth(&theirs)).all(near));
     let times = |dataset: &vergence_slam::dataset::Dataset| -> Vec<_> {
         dataset.frames.iter().map(|frame| frame.at).collect()
     };

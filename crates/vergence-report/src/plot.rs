@@ -33,6 +33,7 @@ pub struct Plot {
     series: Vec<Series>,
     width: u32,
     height: u32,
+    is_map: bool,
 }
 
 /// Points that belong together: one colour, one shape, one line in the legend.
@@ -56,8 +57,21 @@ pub enum Style {
     Line,
     /// A black line without markers: a law, drawn over what it was fitted to.
     Curve,
+    /// A line without markers in the series' colour: so many points that each is none by itself.
+    Path,
     /// Markers joined by steps (first along x, then along y): a front, of which nothing lies between two points.
     Steps,
+}
+
+impl Style {
+    fn is_line(self) -> bool {
+        matches!(self, Self::Line | Self::Curve | Self::Path | Self::Steps)
+    }
+
+    /// Without markers.
+    fn is_bare(self) -> bool {
+        matches!(self, Self::Curve | Self::Path)
+    }
 }
 
 /// A place in a plot.
@@ -99,7 +113,7 @@ impl Series {
 impl Plot {
     /// An empty plot of 760 × 480 pixels.
     pub fn new(title: impl Into<String>, x: Axis, y: Axis) -> Self {
-        Self { title: title.into(), x, y, series: Vec::new(), width: 760, height: 480 }
+        Self { title: title.into(), x, y, series: Vec::new(), width: 760, height: 480, is_map: false }
     }
 
     /// With one more series; later ones are drawn over earlier ones.
@@ -112,6 +126,58 @@ impl Plot {
     pub fn with_size(mut self, width: u32, height: u32) -> Self {
         (self.width, self.height) = (width, height);
         self
+    }
+
+    /// A map: a unit is as long along one axis as along the other, and both axes reach as far as the points do, whatever range they were given.
+    pub fn as_map(mut self) -> Self {
+        self.is_map = true;
+        self
+    }
+
+    /// Several plots in one SVG document, one below the other.
+    ///
+    /// # Errors
+    /// Those of [`Plot::to_svg`].
+    pub fn stacked(plots: &[Self]) -> Result<String, Error> {
+        let width = plots.iter().map(|plot| plot.width).max().unwrap_or(0);
+        let height: u32 = plots.iter().map(|plot| plot.height).sum();
+        let mut svg = format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" height=\"{height}\">\n"
+        );
+        let mut top = 0;
+        for plot in plots {
+            let inner = plot.to_svg()?;
+            // Names are those of the whole document.
+            let (id, place) = (format!("frame{top}"), format!("<svg y=\"{top}\" "));
+            svg += &inner
+                .replacen("<svg ", &place, 1)
+                .replace("id=\"frame\"", &format!("id=\"{id}\""))
+                .replace("url(#frame)", &format!("url(#{id})"));
+            top += plot.height;
+        }
+        svg += "</svg>\n";
+        Ok(svg)
+    }
+
+    /// The axes, laid out along so many pixels.
+    fn axes(&self, points: &[&Point], width: f64, height: f64) -> Result<(Layout, Layout), Error> {
+        let (xs, ys) = (points.iter().map(|p| p.x), points.iter().map(|p| p.y));
+        if !self.is_map || points.is_empty() {
+            return Ok((self.x.laid_out(xs, width)?, self.y.laid_out(ys, height)?));
+        }
+        let ends = |values: &mut dyn Iterator<Item = f64>| {
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)))
+        };
+        let (x, y) = (ends(&mut { xs }), ends(&mut { ys }));
+        // A twentieth of air on each side; one unit where everything is at one place.
+        let unit = ((x.1 - x.0) / width).max((y.1 - y.0) / height) * 1.1;
+        let least = 1e-9 * [x.0, x.1, y.0, y.1].into_iter().fold(0.0f64, |most, v| most.max(v.abs()));
+        let unit = if unit * width > least { unit } else { 1.0 / width };
+        let around = |axis: &Axis, (low, high): (f64, f64), length: f64| {
+            let (middle, half) = (0.5 * low + 0.5 * high, 0.5 * unit * length);
+            axis.clone().with_range(middle - half, middle + half).laid_out(std::iter::empty(), length)
+        };
+        Ok((around(&self.x, x, width)?, around(&self.y, y, height)?))
     }
 
     /// The same as wide as a phone, on which a pixel of ours is about one of its, and as high as title and legend then need.
@@ -145,9 +211,9 @@ impl Plot {
             let expected = (self.width, self.height + 60);
             return Err(Error::Size { expected, found });
         }
-        let points = || self.series.iter().flat_map(|s| &s.points).filter(|p| self.has_place(p));
-        let x = self.x.laid_out(points().map(|p| p.x), frame.width)?;
-        let y = self.y.laid_out(points().map(|p| p.y), frame.height)?;
+        let points: Vec<&Point> =
+            self.series.iter().flat_map(|s| &s.points).filter(|p| self.has_place(p)).collect();
+        let (x, y) = self.axes(&points, frame.width, frame.height)?;
         let canvas = Canvas { frame, x, y };
         let mut svg = String::new();
         self.draw_frame(&mut svg, &canvas, &title);
@@ -265,13 +331,13 @@ impl Plot {
             let y = 24.0 + TITLE_LINE_PX * title_lines as f64 + 18.0 * row as f64;
             for &(index, x) in entries {
                 let series = &self.series[index];
-                if matches!(series.style, Style::Line | Style::Curve | Style::Steps) {
+                if series.style.is_line() {
                     let color = color_of(index, series.style);
                     let _ =
                         write!(svg, "<path d=\"M{x:.1} {y:.1}h18\" stroke=\"{color}\" stroke-width=\"2\"/>");
                 }
                 let marker = |index, style, x, y| match style {
-                    Style::Curve => String::new(),
+                    Style::Curve | Style::Path => String::new(),
                     style => marker(index, style, x, y, ""),
                 };
                 let _ = writeln!(
@@ -288,7 +354,7 @@ impl Plot {
 
     fn draw_series(&self, svg: &mut String, canvas: &Canvas, index: usize, series: &Series) {
         let shown: Vec<&Point> = series.points.iter().filter(|p| self.has_place(p)).collect();
-        if matches!(series.style, Style::Line | Style::Curve | Style::Steps) && shown.len() > 1 {
+        if series.style.is_line() && shown.len() > 1 {
             let mut path = String::new();
             for (i, point) in shown.iter().enumerate() {
                 let (x, y) = canvas.place(point);
@@ -304,7 +370,7 @@ impl Plot {
                 "<path d=\"{path}\" fill=\"none\" stroke=\"{color}\" stroke-width=\"2\" stroke-linejoin=\"round\"/>"
             );
         }
-        for point in shown.into_iter().filter(|_| series.style != Style::Curve) {
+        for point in shown.into_iter().filter(|_| !series.style.is_bare()) {
             let (x, y) = canvas.place(point);
             let tooltip = match (&point.tooltip, &point.label) {
                 (Some(text), _) | (None, Some(text)) => escaped(text),
@@ -449,6 +515,41 @@ mod tests {
         assert_eq!(narrow.title_lines().join(" "), "Conditional accuracy: misses by movement time");
         let none = Plot::new("", Axis::linear("x"), Axis::linear("y")).with_size(360, 360);
         assert!(none.to_svg().is_ok());
+    }
+
+    #[test]
+    fn a_map_has_one_scale_and_reaches_as_far_as_its_points() {
+        let circle = |x: f64, y: f64| {
+            let at = |i: i32| (f64::from(i) * 0.1).sin_cos();
+            (0..63).map(|i| Point::new(x + at(i).0, y + 0.2 * at(i).1)).collect::<Vec<_>>()
+        };
+        for (x, y) in [(0.0, 0.0), (100.0, -40.0)] {
+            let map = Plot::new("", Axis::linear("x (m)"), Axis::linear("y (m)"))
+                .with(Series::new("way", Style::Path, circle(x, y)))
+                .as_map();
+            let points: Vec<&Point> = map.series[0].points.iter().collect();
+            let (along, up) = map.axes(&points, 600.0, 300.0).unwrap();
+            let px = |layout: &Layout, from: f64| layout.position(from + 1.0) - layout.position(from);
+            assert!((px(&along, x) / px(&up, y) - 1.0).abs() < 1e-9);
+            // The wider side fills the plot but for its air, the middle is in the middle.
+            assert!((2.0 * px(&along, x) - 600.0 / 1.1).abs() < 2.0, "{}", px(&along, x));
+            assert!((along.position(x) - 300.0).abs() < 2.0 && (up.position(y) - 150.0).abs() < 2.0);
+            assert!(map.to_svg().unwrap().contains("stroke=\"#0072B2\""));
+        }
+        // All at one place, and nothing at all.
+        for points in [vec![Point::new(3.0, 3.0); 4], Vec::new()] {
+            let map = Plot::new("", Axis::linear("x"), Axis::linear("y"));
+            assert!(map.with(Series::new("", Style::Path, points)).as_map().to_svg().is_ok());
+        }
+    }
+
+    #[test]
+    fn plots_below_each_other_are_one_document_with_names_of_their_own() {
+        let both = Plot::stacked(&[plot(), plot().with_size(500, 300)]).unwrap();
+        assert!(both.contains("viewBox=\"0 0 760 780\"") && both.contains("<svg y=\"480\""), "{both}");
+        assert_eq!(both.matches("url(#frame0)").count(), 1);
+        assert_eq!(both.matches("url(#frame480)").count(), 1);
+        assert!(!both.contains("url(#frame)"));
     }
 
     #[test]

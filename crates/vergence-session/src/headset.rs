@@ -12,8 +12,9 @@ use crate::capture::Capture;
 use crate::config::{HeadsetChoice, RunConfig};
 use crate::desk::ByHand;
 use crate::error::Error;
-use crate::motion::open_motion;
+use crate::motion::open_followed;
 use crate::odometry;
+use crate::report::OdometryReport;
 use crate::run::Again;
 
 const APP_NAME: &str = "vergence";
@@ -35,6 +36,8 @@ pub(crate) struct Handed<'a> {
     pub(crate) again: Option<&'a Again>,
     /// What moves it; opened once, so that a file that changes or goes meanwhile changes nothing.
     pub(crate) motion: &'a mut Option<Arc<dyn PoseProvider>>,
+    /// How our odometry went, where it moves it.
+    pub(crate) odometry: &'a mut Option<OdometryReport>,
     /// What its clock reads at first, where it goes on from an earlier one's.
     pub(crate) begins: Option<Timestamp>,
 }
@@ -127,7 +130,7 @@ fn simulated(
     why: String,
     say: &mut dyn FnMut(&str),
 ) -> Result<Chosen, Error> {
-    let Handed { capture, by_hand, again, motion, begins } = handed;
+    let Handed { capture, by_hand, again, motion, odometry, begins } = handed;
     let mut profile = match (again, &config.profile) {
         (Some(again), _) => again.profile.clone(),
         (None, Some(name)) => Profile::open(name)?,
@@ -144,7 +147,12 @@ fn simulated(
         None => Arc::clone(motion.insert(match (again, config.motion.as_deref(), by_hand) {
             (Some(again), ..) => Arc::new(again.replay.clone()),
             (None, None, Some(by_hand)) => Arc::new(by_hand),
-            (None, name, _) => open_motion(name.unwrap_or("still"), &|| config.stop.is_stopped(), say)?,
+            (None, name, _) => {
+                let name = name.unwrap_or("still");
+                let (motion, report) = open_followed(name, &|| config.stop.is_stopped(), say)?;
+                *odometry = report;
+                motion
+            }
         })),
     };
     let first = Config::default();

@@ -1,8 +1,10 @@
 //! Our own tracking of a recorded rig (`slam:DATASET`): it moves the simulated headset; on a real one, whose runtime says where
 //! the head is, its pose is kept beside the runtime's and compared.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 use nalgebra::Vector3;
@@ -114,7 +116,7 @@ pub(crate) fn motion(
     folder: &Path,
     is_stopped: &dyn Fn() -> bool,
     say: &mut dyn FnMut(&str),
-) -> Result<Motion, Error> {
+) -> Result<(Motion, OdometryReport), Error> {
     let recording = Recording::open(folder)?;
     let name = folder.display();
     let frames = recording.frames().map_or("frames".to_owned(), |count| format!("{count} frames"));
@@ -122,8 +124,10 @@ pub(crate) fn motion(
     let mut samples = Vec::with_capacity(recording.frames().unwrap_or(0));
     let (mut held, mut tracked, mut count, mut begins_ends) = (0usize, 0usize, 0usize, None);
     let mut doubt = None;
+    let mut followed = Followed::default();
     recording.follow(|estimate| {
         count += 1;
+        followed.add(estimate);
         begins_ends = Some((begins_ends.map_or(estimate.time, |(begins, _)| begins), estimate.time));
         match estimate.state {
             State::Tracked | State::Coasting => tracked += 1,
@@ -144,13 +148,44 @@ pub(crate) fn motion(
             doubt.says()
         ));
     }
+    let mut report = OdometryReport {
+        dataset: name.to_string(),
+        mode: recording.mode().to_string(),
+        ..OdometryReport::default()
+    };
+    followed.tell(&mut report);
+    let lasts = begins_ends.and_then(|(begins, ends)| ends.since(begins)).map_or(0.0, Span::as_secs_f64);
+    say(&format!("{}; the motion ends after {lasts:.2} s, and the session with it", report.followed()));
     let nothing = || Error::Call(format!("{name}: expected frames that can be followed, found none"));
     let begins = samples.first().ok_or_else(nothing)?.at;
     let period = begins_ends.and_then(|(begins, ends)| period(begins, ends, count));
     let bridged = period.and_then(|period| Span::from_secs_f64(period * PERIODS_BRIDGED));
     let step = bridged.unwrap_or(Span::from_millis(175));
     let trajectory = Trajectory::new(samples, begins, AtEnd::Stop, Gaps::Hold, step).ok_or_else(nothing)?;
-    Ok(Motion::from_start(trajectory, body_from_head(&recording.rig()), EYE_HEIGHT_M))
+    Ok((Motion::from_start(trajectory, body_from_head(&recording.rig()), EYE_HEIGHT_M), report))
+}
+
+/// How a recording was followed so far.
+#[derive(Clone, Debug, Default)]
+struct Followed {
+    frames: u64,
+    by_state: BTreeMap<&'static str, u64>,
+    last: Option<State>,
+}
+
+impl Followed {
+    fn add(&mut self, estimate: &Estimate) {
+        self.frames += 1;
+        *self.by_state.entry(estimate.state.word()).or_default() += 1;
+        self.last = Some(estimate.state);
+    }
+
+    fn tell(&self, report: &mut OdometryReport) {
+        report.frames = self.frames;
+        report.frames_by_state =
+            self.by_state.iter().map(|(word, count)| ((*word).to_owned(), *count)).collect();
+        report.says = self.last.unwrap_or(State::Waiting).says().to_owned();
+    }
 }
 
 /// From one frame to the next on the average, seconds.
@@ -176,6 +211,8 @@ pub(crate) struct Beside {
     failure: Option<Error>,
     dataset: PathBuf,
     mode: Mode,
+    /// The thread counts in it.
+    followed: Arc<Mutex<Followed>>,
 }
 
 impl Beside {
@@ -184,10 +221,13 @@ impl Beside {
         let recording = Recording::open(folder)?;
         let mode = recording.mode();
         let (give, poses) = sync_channel(AHEAD);
+        let followed = Arc::<Mutex<Followed>>::default();
+        let counted = Arc::clone(&followed);
         let work = move || {
             let body_from_head = body_from_head(&recording.rig());
             let mut first = None;
             let followed = recording.follow(|estimate| {
+                counted.lock().unwrap_or_else(PoisonError::into_inner).add(estimate);
                 let begins = *first.get_or_insert(estimate.time);
                 let is_known = !matches!(estimate.state, State::Waiting | State::Lost | State::Disagreeing);
                 let pose = estimate.time.since(begins).filter(|_| is_known);
@@ -201,7 +241,9 @@ impl Beside {
         };
         let thread = std::thread::Builder::new().name("odometry".into()).spawn(work);
         let thread = thread.map_err(Error::read(folder))?;
-        Ok(Self::of(poses, Some(thread), folder, mode))
+        let mut beside = Self::of(poses, Some(thread), folder, mode);
+        beside.followed = followed;
+        Ok(beside)
     }
 
     fn of(
@@ -221,6 +263,7 @@ impl Beside {
             failure: None,
             dataset: folder.to_owned(),
             mode,
+            followed: Arc::default(),
         }
     }
 
@@ -267,13 +310,15 @@ impl Beside {
     /// How the two compare, and why the odometry ended early where it did.
     pub(crate) fn finish(mut self) -> (OdometryReport, Option<String>) {
         let (position_rms_m, rotation_rms_deg) = self.comparison.rms();
-        let report = OdometryReport {
+        let mut report = OdometryReport {
             dataset: self.dataset.display().to_string(),
             mode: self.mode.to_string(),
             compared: self.comparison.count,
             position_rms_m,
             rotation_rms_deg,
+            ..OdometryReport::default()
         };
+        self.followed.lock().unwrap_or_else(PoisonError::into_inner).tell(&mut report);
         (report, self.failure.take().map(|error| crate::error::with_cause(&error)))
     }
 }

@@ -1,5 +1,7 @@
 //! What a run was like, for people and for other programs.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 /// Percentiles of something that is measured once per frame, milliseconds. Zero where nothing was measured.
@@ -71,19 +73,35 @@ impl RecordReport {
     }
 }
 
-/// Our odometry beside a real headset: how far the two are apart, after they were aligned at the first pose of both.
+/// Our odometry of a recorded rig. It moves the simulated headset; beside a real one, it says how far the two are apart, after they were aligned
+/// at the first pose of both.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct OdometryReport {
     /// The recording that was followed.
     pub dataset: String,
     /// The sensors that took part.
     pub mode: String,
-    /// Frames for which both knew the head's pose.
+    /// Frames that were followed.
+    pub frames: u64,
+    /// How many of them had each state, by its word (`tracked`, `lost`, …).
+    pub frames_by_state: BTreeMap<String, u64>,
+    /// What the last one was, in a sentence.
+    pub says: String,
+    /// Frames of the session for which both knew the head's pose; 0 on the simulated headset.
     pub compared: u64,
     /// Root of the mean squared distance, metres.
     pub position_rms_m: f64,
     /// Root of the mean squared angle, degrees.
     pub rotation_rms_deg: f64,
+}
+
+impl OdometryReport {
+    /// How many frames had each state, in words.
+    pub(crate) fn followed(&self) -> String {
+        let states = self.frames_by_state.iter().map(|(word, count)| format!("{count} {word}"));
+        let states: Vec<String> = states.collect();
+        format!("{} frames followed: {}; at the end: {}", self.frames, states.join(", "), self.says)
+    }
 }
 
 /// What a run was like. Its JSON is an interface.
@@ -149,7 +167,7 @@ pub struct RunReport {
     pub notices_left_out: u64,
     /// What was asked for and is not there, one sentence each.
     pub warnings: Vec<String>,
-    /// Our own tracking beside a real headset, where it was asked for.
+    /// Our own tracking of a recorded rig, where it was asked for: it moves the simulated headset, or is compared with a real one.
     pub odometry: Option<OdometryReport>,
     /// Messages of Vulkan validation; `None` where it was off or is not installed.
     pub validation_messages: Option<u64>,
@@ -203,10 +221,13 @@ impl std::fmt::Display for RunReport {
                 )?,
             }
         }
-        if let Some(beside) = &self.odometry {
+        if let Some(odometry) = &self.odometry {
+            writeln!(f, "odometry       {}", odometry.followed())?;
+        }
+        if let Some(beside) = self.odometry.as_ref().filter(|odometry| odometry.compared > 0) {
             writeln!(
                 f,
-                "odometry       {} frames beside the runtime's poses: {:.4} m, {:.3} deg apart (root mean square)",
+                "               {} frames beside the runtime's poses: {:.4} m, {:.3} deg apart (root mean square)",
                 beside.compared, beside.position_rms_m, beside.rotation_rms_deg
             )?;
         }

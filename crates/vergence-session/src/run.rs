@@ -343,6 +343,7 @@ fn one(run: &mut Run<'_>) -> Result<End, Error> {
         by_hand,
         again: run.again.as_ref(),
         motion: &mut run.motion,
+        odometry: &mut run.report.odometry,
         begins: run.session_time,
     };
     let chosen = headset::choose(&config, &run.plan, handed, &mut |sentence| {

@@ -1,11 +1,11 @@
 //! How far an estimated trajectory is from the true one.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use vergence_geom::{Rigid, log, mean};
 use vergence_time::{Span, Timestamp};
 
 use crate::Error;
-use crate::trajectory::Trajectory;
+use crate::trajectory::{Rotations, Trajectory};
 
 /// What may be moved before the error is taken: estimates have no absolute place, and one camera alone has no scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -55,8 +55,10 @@ pub struct Evaluation {
     /// Over five seconds.
     pub rpe_5s: Option<Relative>,
     /// The factor that would fit the estimate to the truth best, whatever was aligned (1: the right size); 1 where it does
-    /// not move.
+    /// not move. See [`Evaluation::known_scale`].
     pub scale: f64,
+    /// How far the truth moves: root mean square distance of the matched true positions from their mean, metres.
+    pub spread_m: f64,
     /// Share of the true poses that have an estimate within three quarters of its period, at least [`MATCH_NS`].
     pub coverage: f64,
     /// Pairs of poses that were compared.
@@ -65,6 +67,89 @@ pub struct Evaluation {
     pub rest: Option<Rest>,
     /// The pairs: when, the aligned estimate, the truth.
     pub pairs: Vec<(Timestamp, Rigid, Rigid)>,
+}
+
+impl Evaluation {
+    /// The scale, where the truth moves enough (a centimetre: ten times what the noise of a motion capture system is) to say one.
+    pub fn known_scale(&self) -> Option<f64> {
+        (self.spread_m > MOVES_M).then_some(self.scale)
+    }
+}
+
+/// Which of two trajectories.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Whose {
+    /// The estimate.
+    Estimate,
+    /// The truth.
+    Truth,
+}
+
+/// A trajectory whose quaternions have their numbers in another order than its format says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reordered {
+    /// Whose quaternions.
+    pub whose: Whose,
+    /// How they were read.
+    pub as_read: Rotations,
+    /// Root mean square of the rotation error over a second as they were read, radians.
+    pub as_read_rad: f64,
+    /// The same in the other order.
+    pub reordered_rad: f64,
+}
+
+/// A truth that moves by less has no scale, m: see [`Evaluation::known_scale`].
+const MOVES_M: f64 = 0.01;
+/// Rotations that err by less over a second are in the right order, rad; those in another order must err by less than this share.
+const TURNED_RAD: f64 = 0.1;
+const REORDERED: f64 = 0.25;
+
+/// Whether the rotations of one of two trajectories agree with the other's much better (four times) with the numbers of their quaternions in
+/// the other order than their file was read in ([`Trajectory::read_places`]; what is `None` is not doubted).
+pub fn reordered(
+    (estimate, read): (&Trajectory, Rotations),
+    (truth, truth_read): (&Trajectory, Rotations),
+) -> Option<Reordered> {
+    const SECOND: i64 = 1_000_000_000;
+    let error = |estimate: &Trajectory, truth: &Trajectory| {
+        let pairs = matches(estimate, truth);
+        if pairs.len() < 3 {
+            return None;
+        }
+        let period = median_period(&pairs);
+        // A match of less than a second has steps at least.
+        let found = relative(&pairs, SECOND, period).or_else(|| relative(&pairs, period, period));
+        found.map(|relative| relative.rmse_rad)
+    };
+    let as_read_rad = error(estimate, truth).filter(|error| *error > TURNED_RAD)?;
+    // Both together say the same as neither: what is read as w last is doubted first.
+    let mut doubted = [(Whose::Estimate, read), (Whose::Truth, truth_read)];
+    doubted.sort_by_key(|(_, read)| *read == Rotations::ScalarFirst);
+    let mut best: Option<Reordered> = None;
+    for (whose, as_read) in doubted.into_iter().filter(|(_, read)| *read != Rotations::None) {
+        let found = match whose {
+            Whose::Estimate => error(&in_other_order(estimate, as_read), truth),
+            Whose::Truth => error(estimate, &in_other_order(truth, as_read)),
+        };
+        let Some(reordered_rad) = found.filter(|error| *error < REORDERED * as_read_rad) else { continue };
+        if best.is_none_or(|best| reordered_rad + 1e-4 < 0.5 * best.reordered_rad) {
+            best = Some(Reordered { whose, as_read, as_read_rad, reordered_rad });
+        }
+    }
+    best
+}
+
+/// With the numbers of each quaternion taken the other way than they were read.
+fn in_other_order(trajectory: &Trajectory, as_read: Rotations) -> Trajectory {
+    let turn = |(at, pose): &(Timestamp, Rigid)| {
+        let [x, y, z, w] = [pose.rotation.i, pose.rotation.j, pose.rotation.k, pose.rotation.w];
+        let q = match as_read {
+            Rotations::ScalarFirst => Quaternion::new(z, w, x, y),
+            _ => Quaternion::new(x, y, z, w),
+        };
+        (*at, Rigid::from_parts(pose.translation, UnitQuaternion::new_normalize(q)))
+    };
+    Trajectory { poses: trajectory.poses.iter().map(turn).collect() }
 }
 
 /// Poses this far apart in time are still the same pose, nanoseconds.
@@ -80,23 +165,29 @@ const REST_RAD: f64 = 0.01;
 /// # Errors
 /// Fewer than three poses match.
 pub fn evaluate(estimate: &Trajectory, truth: &Trajectory, align: Align) -> Result<Evaluation, Error> {
+    compare(estimate, truth, align, true)
+}
+
+/// As [`evaluate`], where one of the two says positions only ([`Trajectory::read_places`]): there are no relative errors, as those are taken in the
+/// body's axes.
+///
+/// # Errors
+/// Fewer than three poses match.
+pub fn evaluate_places(estimate: &Trajectory, truth: &Trajectory, align: Align) -> Result<Evaluation, Error> {
+    compare(estimate, truth, align, false)
+}
+
+pub(crate) fn compare(
+    estimate: &Trajectory,
+    truth: &Trajectory,
+    align: Align,
+    turned: bool,
+) -> Result<Evaluation, Error> {
     let mut pairs = matches(estimate, truth);
     if pairs.len() < 3 {
-        return Err(Error::Unmatched {
-            expected: "three poses or more at the same times (within 10 ms)".to_owned(),
-            found: format!(
-                "{} among {} estimated from {} to {} and {} true from {} to {}",
-                pairs.len(),
-                estimate.poses.len(),
-                first(estimate),
-                last(estimate),
-                truth.poses.len(),
-                first(truth),
-                last(truth)
-            ),
-        });
+        return Err(unmatched(estimate, truth, pairs.len()));
     }
-    let fit = fit(&pairs);
+    let fit = fit(&pairs, turned);
     let (rotation, scale) = match align {
         Align::Se3 => (fit.rotation, 1.0),
         Align::Sim3 => (fit.rotation, fit.scale),
@@ -107,7 +198,7 @@ pub fn evaluate(estimate: &Trajectory, truth: &Trajectory, align: Align) -> Resu
     } else {
         fit.true_mean - rotation * fit.estimated_mean * scale
     };
-    let turn = nalgebra::UnitQuaternion::from_matrix(&rotation);
+    let turn = UnitQuaternion::from_matrix(&rotation);
     for (_, estimated, _) in &mut pairs {
         estimated.translation.vector = rotation * estimated.translation.vector * scale + shift;
         estimated.rotation = turn * estimated.rotation;
@@ -120,9 +211,10 @@ pub fn evaluate(estimate: &Trajectory, truth: &Trajectory, align: Align) -> Resu
     Ok(Evaluation {
         ate_rmse_m: (squares / pairs.len() as f64).sqrt(),
         ate_max_m: pairs.iter().map(distance).fold(0.0, f64::max),
-        rpe_1s: relative(&pairs, 1_000_000_000, matched_period),
-        rpe_5s: relative(&pairs, 5_000_000_000, matched_period),
+        rpe_1s: relative(&pairs, 1_000_000_000, matched_period).filter(|_| turned),
+        rpe_5s: relative(&pairs, 5_000_000_000, matched_period).filter(|_| turned),
         scale: fit.scale,
+        spread_m: fit.spread_m,
         coverage: coverage(estimate, truth, (period / 4 * 3).max(MATCH_NS)),
         matched: pairs.len(),
         rest: rest(&pairs),
@@ -130,12 +222,40 @@ pub fn evaluate(estimate: &Trajectory, truth: &Trajectory, align: Align) -> Resu
     })
 }
 
-fn first(trajectory: &Trajectory) -> i64 {
-    trajectory.poses.first().map_or(0, |pose| pose.0.as_nanos())
-}
-
-fn last(trajectory: &Trajectory) -> i64 {
-    trajectory.poses.last().map_or(0, |pose| pose.0.as_nanos())
+/// From when to when each of two trajectories is, and what may be wrong with that.
+fn unmatched(estimate: &Trajectory, truth: &Trajectory, count: usize) -> Error {
+    let ends = |trajectory: &Trajectory| {
+        let (first, last) = (trajectory.poses.first(), trajectory.poses.last());
+        first.zip(last).map_or((0, 0), |(first, last)| (first.0.as_nanos(), last.0.as_nanos()))
+    };
+    let (ours, theirs) = (ends(estimate), ends(truth));
+    let seconds = |nanos: i64| nanos as f64 * 1e-9;
+    let apart = ours.0 > theirs.1 || theirs.0 > ours.1;
+    // What begins within a day of zero has no date.
+    let undated = |ends: (i64, i64)| ends.0.abs() < 86_400_000_000_000;
+    let hint = match (apart, undated(ours), undated(theirs)) {
+        (true, true, false) => "; do the estimate's times begin at 0?".to_owned(),
+        (true, false, true) => "; do the truth's times begin at 0?".to_owned(),
+        (true, ..) => {
+            format!(
+                "; the two begin {:.3} s apart: are they of one clock?",
+                seconds(ours.0) - seconds(theirs.0)
+            )
+        }
+        (false, ..) => String::new(),
+    };
+    Error::Unmatched {
+        expected: "three poses or more at the same times (within 10 ms)".to_owned(),
+        found: format!(
+            "{count} among {} estimated from {:.3} to {:.3} s and {} true from {:.3} to {:.3} s{hint}",
+            estimate.poses.len(),
+            seconds(ours.0),
+            seconds(ours.1),
+            truth.poses.len(),
+            seconds(theirs.0),
+            seconds(theirs.1)
+        ),
+    }
 }
 
 /// The pose nearest in time, and how far off it is; the earlier of two that are as near.
@@ -175,39 +295,42 @@ fn coverage(estimate: &Trajectory, truth: &Trajectory, most: i64) -> f64 {
 struct Fit {
     rotation: Matrix3<f64>,
     scale: f64,
+    spread_m: f64,
     estimated_mean: Vector3<f64>,
     true_mean: Vector3<f64>,
 }
 
 /// S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 13(4), 1991. Where positions do
-/// not say the rotation (all on a line or a point), orientations do.
-fn fit(pairs: &[(Timestamp, Rigid, Rigid)]) -> Fit {
+/// not say the rotation (all on a line or a point), orientations do, if there are any (`turned`).
+fn fit(pairs: &[(Timestamp, Rigid, Rigid)], turned: bool) -> Fit {
     let count = pairs.len() as f64;
     let estimated_mean = pairs.iter().map(|pair| pair.1.translation.vector).sum::<Vector3<f64>>() / count;
     let true_mean = pairs.iter().map(|pair| pair.2.translation.vector).sum::<Vector3<f64>>() / count;
-    let (mut covariance, mut variance) = (Matrix3::zeros(), 0.0);
+    let (mut covariance, mut variance, mut spread) = (Matrix3::zeros(), 0.0, 0.0);
     for (_, estimated, truth) in pairs {
         let (x, y) = (estimated.translation.vector - estimated_mean, truth.translation.vector - true_mean);
         covariance += y * x.transpose() / count;
         variance += x.norm_squared() / count;
+        spread += y.norm_squared() / count;
     }
+    let spread_m = f64::sqrt(spread);
     let svd = covariance.svd(true, true);
     let (u, vt) = (svd.u.unwrap_or_else(Matrix3::identity), svd.v_t.unwrap_or_else(Matrix3::identity));
     let d = svd.singular_values;
     let determined = d.iter().filter(|d| **d > f64::EPSILON).count() >= 2;
-    if !determined {
+    if !determined && turned {
         let turns: Vec<_> = pairs.iter().map(|pair| pair.2.rotation * pair.1.rotation.inverse()).collect();
         let turn = mean(turns.iter().map(|turn| (1.0, turn))).unwrap_or(turns[0]);
         let rotation = turn.to_rotation_matrix().into_inner();
-        return Fit { rotation, scale: 1.0, estimated_mean, true_mean };
+        return Fit { rotation, scale: 1.0, spread_m, estimated_mean, true_mean };
     }
     let mut signs = Vector3::repeat(1.0);
     if u.determinant() * vt.determinant() < 0.0 {
         signs[d.imin()] = -1.0;
     }
     let rotation = u * Matrix3::from_diagonal(&signs) * vt;
-    let scale = d.dot(&signs) / variance;
-    Fit { rotation, scale, estimated_mean, true_mean }
+    let scale = if variance > 0.0 { d.dot(&signs) / variance } else { 1.0 };
+    Fit { rotation, scale, spread_m, estimated_mean, true_mean }
 }
 
 fn median_period(pairs: &[(Timestamp, Rigid, Rigid)]) -> i64 {
@@ -277,7 +400,6 @@ fn rest(pairs: &[(Timestamp, Rigid, Rigid)]) -> Option<Rest> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::UnitQuaternion;
     use proptest::prelude::*;
 
     use super::*;
@@ -319,6 +441,86 @@ mod tests {
             let wrong = evaluate(&moved(1.01 * scale.max(1.0)), &truth, Align::Se3).unwrap();
             prop_assert!(wrong.ate_rmse_m > 1e-3);
         }
+    }
+
+    #[test]
+    fn quaternions_in_another_order_are_told() {
+        use Rotations::{ScalarFirst, ScalarLast};
+        let (truth, estimate) = (knot(300, 0.0), knot(300, 1e-3));
+        for (a, b) in [(ScalarLast, ScalarLast), (ScalarLast, ScalarFirst)] {
+            assert_eq!(reordered((&estimate, a), (&truth, b)), None);
+        }
+        // A right estimate that errs badly is no matter of the order.
+        let mut turning = estimate.clone();
+        for (k, (_, pose)) in turning.poses.iter_mut().enumerate() {
+            pose.rotation *= UnitQuaternion::from_euler_angles(0.0, 0.02 * k as f64, 0.0);
+        }
+        assert_eq!(reordered((&turning, ScalarLast), (&truth, ScalarLast)), None);
+        // Written w x y z and read as x y z w, beside a truth in either format; and the other way round.
+        let wrong = in_other_order(&estimate, ScalarFirst);
+        for of_truth in [ScalarLast, ScalarFirst] {
+            let found = reordered((&wrong, ScalarLast), (&truth, of_truth)).unwrap();
+            assert_eq!((found.whose, found.as_read), (Whose::Estimate, ScalarLast));
+            assert!(found.as_read_rad > 0.1 && found.reordered_rad < 0.01, "{found:?}");
+        }
+        let found =
+            reordered((&estimate, ScalarLast), (&in_other_order(&truth, ScalarFirst), ScalarLast)).unwrap();
+        assert_eq!((found.whose, found.as_read), (Whose::Truth, ScalarLast));
+        let wrong = in_other_order(&estimate, ScalarLast);
+        let found = reordered((&wrong, ScalarFirst), (&truth, ScalarFirst)).unwrap();
+        assert_eq!((found.whose, found.as_read), (Whose::Estimate, ScalarFirst));
+        assert_eq!(reordered((&wrong, Rotations::None), (&truth, Rotations::None)), None);
+    }
+
+    #[test]
+    fn positions_alone_have_an_absolute_error_only() {
+        let (truth, mut places) = (knot(200, 0.0), knot(200, 2e-3));
+        let whole = evaluate(&places, &truth, Align::Se3).unwrap();
+        places.poses.iter_mut().for_each(|(_, pose)| pose.rotation = UnitQuaternion::identity());
+        let found = evaluate_places(&places, &truth, Align::Se3).unwrap();
+        assert_eq!((found.ate_rmse_m, found.scale), (whole.ate_rmse_m, whole.scale));
+        assert_eq!((found.rpe_1s, found.rpe_5s), (None, None));
+        // On a line, whose rotation about itself nobody knows.
+        let line = |k: i64| (Timestamp::from_nanos(k * 50_000_000), Rigid::translation(k as f64, 0.0, 0.0));
+        let straight = Trajectory { poses: (0..20).map(line).collect() };
+        let found = evaluate_places(&straight, &straight, Align::Se3).unwrap();
+        assert!(found.ate_rmse_m < 1e-9, "{}", found.ate_rmse_m);
+        let same = Trajectory { poses: (0..20).map(|k| (line(k).0, Rigid::identity())).collect() };
+        assert!(evaluate_places(&same, &same, Align::Sim3).unwrap().ate_rmse_m == 0.0);
+    }
+
+    #[test]
+    fn what_hardly_moves_has_no_scale() {
+        let truth = knot(200, 0.0);
+        assert!(evaluate(&truth, &truth, Align::Se3).unwrap().known_scale().is_some());
+        let mut still = truth.clone();
+        still.poses.iter_mut().for_each(|(_, pose)| pose.translation.vector *= 1e-3);
+        assert_eq!(evaluate(&still, &still, Align::Se3).unwrap().known_scale(), None);
+    }
+
+    #[test]
+    fn times_that_do_not_meet_have_their_units_and_a_reason() {
+        let truth = knot(100, 0.0);
+        let said = |estimate: &Trajectory, truth: &Trajectory| {
+            evaluate(estimate, truth, Align::Se3).unwrap_err().to_string()
+        };
+        let shifted = |nanos: i64| {
+            let pose =
+                |(at, pose): &(Timestamp, Rigid)| (Timestamp::from_nanos(at.as_nanos() + nanos), *pose);
+            Trajectory { poses: truth.poses.iter().map(pose).collect() }
+        };
+        let relative = shifted(-1_400_000_000_000_000_000);
+        let found = said(&relative, &truth);
+        assert!(
+            found.contains("100 estimated from 0.000 to 4.950 s and 100 true from 1400000000.000"),
+            "{found}"
+        );
+        assert!(found.ends_with("; do the estimate's times begin at 0?"), "{found}");
+        assert!(said(&truth, &relative).ends_with("; do the truth's times begin at 0?"));
+        let found = said(&shifted(3_600_000_000_000), &truth);
+        assert!(found.ends_with("; the two begin 3600.000 s apart: are they of one clock?"), "{found}");
+        // In between each other: nothing is known of the reason.
+        assert!(said(&shifted(25_000_000), &truth).ends_with(" s"));
     }
 
     #[test]

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 
 use vergence_geom::Camera;
 use vergence_sense::{Imu, Reading, ReadingKind, Sample, Sink, SourceStream};
-use vergence_time::Timestamp;
+use vergence_time::{Span, Timestamp};
 use vergence_vision::{Gray, TrackerKnobs};
 
-use crate::dataset::{Depth, Picture, Rig, TOGETHER_NS};
+use crate::dataset::{Depth, Opening, Picture, Rig};
 use crate::playback::Mode;
 use crate::{Error, Estimate, Params, Tracking};
 
@@ -64,6 +64,7 @@ pub struct Follower {
     given: Option<Timestamp>,
     ended: bool,
     incomplete: u64,
+    pair_within: Span,
 }
 
 impl Follower {
@@ -114,7 +115,15 @@ impl Follower {
             given: None,
             ended: false,
             incomplete: 0,
+            pair_within: Opening::default().pair_within,
         })
+    }
+
+    /// With pictures of one instant that may be farther apart than a millisecond: [`Opening::pair_within`].
+    #[must_use]
+    pub fn pairing_within(mut self, span: Span) -> Self {
+        self.pair_within = span;
+        self
     }
 
     /// The tracker and the estimator.
@@ -139,13 +148,14 @@ impl Follower {
         self.readings.push_back((at, *imu));
     }
 
-    /// One picture of a camera; pictures of one instant (within a millisecond) make a frame. Those of cameras that take no part, and those that are not later than
+    /// One picture of a camera; pictures of one instant (within a millisecond, or [`Self::pairing_within`]) make a frame. Those of cameras that take no part, and those that are not later than
     /// what was followed, are left out.
     pub fn picture(&mut self, camera: usize, at: Timestamp, picture: Picture) {
         if camera >= self.cameras || self.done.is_some_and(|done| at <= done) {
             return;
         }
-        let together = |frame: &Waiting| frame.at.as_nanos().abs_diff(at.as_nanos()) <= TOGETHER_NS;
+        let within = self.pair_within.as_nanos().unsigned_abs();
+        let together = |frame: &Waiting| frame.at.as_nanos().abs_diff(at.as_nanos()) <= within;
         let place =
             match self.waiting.iter().position(|frame| together(frame) && frame.pictures[camera].is_none()) {
                 Some(place) => place,

@@ -13,50 +13,8 @@ use crate::link::{Held, Link, Motion};
 use crate::params::Params;
 use crate::shrink::{Leaving, Shrink};
 use crate::sighting::{Sighting, Way};
+use crate::state::State;
 use crate::window::{Anchor, Frame, Observation, Point, Window};
-
-/// How far a pose can be trusted, and what it waits for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum State {
-    /// No frame yet.
-    Waiting,
-    /// Poses are provisional: gravity's direction and the velocity are not known well yet.
-    FindingGravity,
-    /// Poses are provisional: the camera has not moved far enough to see how far anything is.
-    FindingDepth,
-    /// Poses are provisional: next to nothing is seen in the pictures.
-    FindingCorners,
-    /// What is seen does not fit together: lens, mounting or times are not what they are said to be.
-    Disagreeing,
-    /// Within three of its own standard deviations.
-    Tracked,
-    /// Too few points are seen: the inertial unit alone carries it.
-    Coasting,
-    /// Nothing holds it: the pose is the last one, or one that has been carried too long.
-    Lost,
-}
-
-impl State {
-    /// In words: what it is, and what it waits for.
-    pub fn says(self) -> &'static str {
-        match self {
-            Self::Waiting => "waiting for the first frame",
-            Self::FindingGravity => {
-                "provisional: gravity and velocity are being found; standing still or moving for a second helps"
-            }
-            Self::FindingDepth => "provisional: distances are not known yet; moving sideways helps",
-            Self::FindingCorners => {
-                "provisional: next to nothing is seen in the pictures; are they dark, blurred, or few bits of sixteen?"
-            }
-            Self::Disagreeing => {
-                "not to be trusted: what is seen does not fit together; are intrinsics, distortion, T_BS and times right?"
-            }
-            Self::Tracked => "tracked",
-            Self::Coasting => "carried by the inertial unit: too few points are seen",
-            Self::Lost => "lost: nothing is seen that holds the pose",
-        }
-    }
-}
 
 /// One frame's answer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,6 +35,8 @@ pub struct Estimate {
     pub rotation_sigma_rad: f64,
     /// It became a keyframe.
     pub keyframe: bool,
+    /// Which map it is in, from 0: after [`State::Lost`] another one begins, whose place in those before is a guess.
+    pub map: u32,
     /// Points of the map that it sees.
     pub known: usize,
     /// Points of the map that were thrown away after this frame.
@@ -97,18 +57,24 @@ pub struct Odometry {
     refused: HashMap<u64, u64>,
     just_refused: Vec<u64>,
     normal: Normal,
+    /// Working memory.
+    residuals: Vec<Option<f64>>,
     shrink: Shrink,
     next_id: u64,
     pub(crate) settled: bool,
     /// One camera and an inertial unit: there is a guess of velocity and gravity.
     pub(crate) flying: bool,
-    since_keyframe: usize,
+    keyframe_at: Option<Timestamp>,
+    /// When velocity and gravity were last tried for, with one camera and an inertial unit.
+    pub(crate) tried_at: Option<Timestamp>,
     /// The last frame that saw enough, where the latest did not.
     unseen_since: Option<Timestamp>,
-    adrift: usize,
+    /// The first of the latest frames of which most points were thrown away.
+    adrift_since: Option<Timestamp>,
     /// Residual over the latest half second, pixels, and the frame before.
     misfit_px: f64,
     last: Option<Estimate>,
+    map: u32,
     biases: Biases,
 }
 
@@ -121,8 +87,9 @@ const LONGEST_GAP: (i64, i64) = (25_000_000, 4);
 /// Gravity is known when its direction is known this well, rad.
 const GRAVITY_RAD: f64 = 0.03;
 
-/// Frames in a row of which most points had to be thrown away: what is estimated is not what is seen.
-const ADRIFT: usize = 3;
+/// After this time, in frames of which most points had to be thrown away each, what is estimated is not what is seen, s: three frames of 20 Hz
+/// in a row.
+const ADRIFT_S: f64 = 0.09;
 /// What is left of sightings settles over this, s. Beyond so many deviations of a corner (with and without inertial unit) it is no noise: right
 /// calibrations leave 0.1 to 0.7 of one, 1.8 without a unit behind a lens that nobody has calibrated; a focal length that is a tenth off 1.4, distortion that
 /// is left out 2.3.
@@ -130,6 +97,11 @@ const MISFIT_S: f64 = 0.5;
 const MISFIT: (f64, f64) = (1.25, 2.5);
 /// Points that say so little of the velocity (standard deviation, m/s) hold no position: they are too far away.
 const UNKNOWN_M_S: f64 = 0.3;
+
+/// From one instant to a later one, s; without end where that does not fit.
+pub(crate) fn seconds(from: Timestamp, to: Timestamp) -> f64 {
+    to.since(from).map_or(f64::INFINITY, Span::as_secs_f64)
+}
 
 impl Odometry {
     /// For a rig whose cameras sit so on the body (the inertial unit's frame; cameras x right, y down, z forward).
@@ -144,15 +116,18 @@ impl Odometry {
             refused: HashMap::new(),
             just_refused: Vec::new(),
             normal: Normal::default(),
+            residuals: Vec::new(),
             shrink: Shrink::default(),
             next_id: 0,
             settled: false,
             flying: false,
-            since_keyframe: 0,
+            keyframe_at: None,
+            tried_at: None,
             unseen_since: None,
-            adrift: 0,
+            adrift_since: None,
             misfit_px: 0.0,
             last: None,
+            map: 0,
             biases: Biases::default(),
         }
     }
@@ -408,12 +383,11 @@ impl Odometry {
         }
         self.window.frames.push(frame);
         self.window.number();
-        self.since_keyframe += 1;
         let params = self.window.params;
         let first = self.window.frames.len() == 1;
         let few = (known as f64) < params.known_share * tracks as f64;
         let keyframe = first
-            || (few && self.since_keyframe >= params.keyframe_gap)
+            || (few && self.keyframe_at.is_none_or(|at| seconds(at, time) >= params.keyframe_gap_s))
             || (known < 2 * FEWEST && tracks > known);
         let ready = self.ready_for_points();
         let begins = ready && self.window.cameras.len() == 1 && self.window.points.is_empty();
@@ -424,15 +398,16 @@ impl Odometry {
         }
         let (outliers, residual_px) = self.drop_outliers();
         if (keyframe || begins) && (ready || first) {
-            self.since_keyframe = 0;
+            self.keyframe_at = Some(time);
             self.make_points();
             if begins && !first {
                 self.solve(5 * params.iterations);
             }
         }
-        let [position_sigma_m, rotation_sigma_rad, velocity_sigma_m_s] =
-            if blind && !first { [f64::INFINITY; 3] } else { self.sigmas(first) };
-        self.adrift = if outliers > known.saturating_sub(outliers) { self.adrift + 1 } else { 0 };
+        let [position_sigma_m, rotation_sigma_rad, velocity_sigma_m_s, tilt_rad] =
+            if blind && !first { [f64::INFINITY; 4] } else { self.sigmas(first) };
+        let adrift = outliers > known.saturating_sub(outliers);
+        self.adrift_since = adrift.then(|| self.adrift_since.unwrap_or(time));
         // Points that this frame has made hold it as well as known ones.
         let held = if first || begins { self.window.points.len() } else { known };
         let span = self.last.and_then(|last| time.since(last.time)).map_or(0.0, Span::as_secs_f64);
@@ -440,11 +415,13 @@ impl Odometry {
             self.misfit_px += (residual_px - self.misfit_px) * (span / MISFIT_S).min(1.0);
         }
         let state = if !self.settled && !first && tracks < FEWEST && known < FEWEST {
-            self.judge(held, position_sigma_m, velocity_sigma_m_s);
+            self.judge(held, position_sigma_m, velocity_sigma_m_s, tilt_rad);
             State::FindingCorners
         } else {
-            self.judge(held, position_sigma_m, velocity_sigma_m_s)
+            self.judge(held, position_sigma_m, velocity_sigma_m_s, tilt_rad)
         };
+        let was_lost = self.last.is_some_and(|last| last.state == State::Lost);
+        self.map += u32::from(was_lost && state != State::Lost);
         let last = self.window.frames.last().expect("a frame was pushed above");
         let motion = last.motion_now();
         self.biases = motion.biases;
@@ -457,6 +434,7 @@ impl Odometry {
             position_sigma_m,
             rotation_sigma_rad,
             keyframe,
+            map: self.map,
             known,
             outliers,
             residual_px,
@@ -509,14 +487,16 @@ impl Odometry {
     /// Throws away what does not fit; how many points, and the root mean square of what is left, pixels.
     fn drop_outliers(&mut self) -> (usize, f64) {
         let limit = self.window.params.outlier_px;
+        self.window.residuals_px(&mut self.residuals);
+        let mut residuals = self.residuals.iter();
         let mut points = std::mem::take(&mut self.window.points);
         let last = self.window.frames.last().map_or(0, |f| f.id);
         self.just_refused.clear();
         let (mut square, mut count) = (0.0, 0_usize);
         for point in &mut points {
             let seen = std::mem::take(&mut point.seen);
-            let mut fine = |o: &Observation| {
-                let residual = self.window.residual_px(point, o).filter(|r| *r < limit);
+            let mut fine = |_: &Observation| {
+                let residual = residuals.next().copied().flatten().filter(|r| *r < limit);
                 if let Some(residual) = residual {
                     (square, count) = (square + residual * residual, count + 1);
                 }
@@ -551,7 +531,7 @@ impl Odometry {
         let params = self.window.params;
         let frames = &self.window.frames;
         let Some((host, slot)) = frames.last().zip(frames.len().checked_sub(1)) else { return };
-        let mut made = Vec::new();
+        let (mut made, mut ways) = (Vec::new(), Vec::new());
         let mut at = 0;
         while at < host.seen.len() {
             let sighting = host.seen[at];
@@ -569,7 +549,7 @@ impl Odometry {
                 let same = frame.seen[from..].iter().take_while(|s| s.track == track);
                 seen.extend(same.map(|s| Observation { frame: frame.id, slot, sighting: *s }));
             }
-            if let Some(inverse_distance) = self.triangulate(slot, &sighting, &seen) {
+            if let Some(inverse_distance) = self.triangulate(slot, &sighting, &seen, &mut ways) {
                 let mut point =
                     Point::new(track, host.id, sighting.camera, sighting.direction, inverse_distance);
                 point.host_slot = slot;
@@ -583,22 +563,30 @@ impl Odometry {
         self.index();
     }
 
-    /// One over the distance from the host's camera along the direction that it sees: least squares over all other sightings.
-    fn triangulate(&self, host: usize, sighting: &Sighting, seen: &[Observation]) -> Option<f64> {
+    /// One over the distance from the host's camera along the direction that it sees: least squares over all other sightings. `ways` is
+    /// working memory.
+    fn triangulate(
+        &self,
+        host: usize,
+        sighting: &Sighting,
+        seen: &[Observation],
+        ways: &mut Vec<Way>,
+    ) -> Option<f64> {
         let window = &self.window;
         let from = &window.frames[host].pose;
         let camera = &window.cameras[usize::from(sighting.camera)];
-        let way = |o: &Observation| {
+        let other = |o: &&Observation| o.slot != host || o.sighting.camera != sighting.camera;
+        ways.clear();
+        ways.extend(seen.iter().filter(other).map(|o| {
             let target = &window.frames[o.slot].pose;
             Way::new(&target.inv_mul(from), camera, &window.cameras[usize::from(o.sighting.camera)])
-        };
-        let others = || seen.iter().filter(|o| o.slot != host || o.sighting.camera != sighting.camera);
+        }));
+        let others = || seen.iter().filter(other).zip(ways.iter());
         let mut inverse = 0.3;
         let mut sigma = f64::INFINITY;
         for _ in 0..4 {
             let (mut slope, mut square) = (0.0, 0.0);
-            for o in others() {
-                let way = way(o);
+            for (o, way) in others() {
                 let carried = way.carry(&sighting.direction, inverse);
                 let length = carried.norm().max(1e-9);
                 // Of J (along d + ρ offset) / length, with the length held.
@@ -620,7 +608,7 @@ impl Odometry {
             sigma = square.sqrt().recip();
         }
         // Behind, or so unsure that it could be anywhere nearer than infinity and has no parallax to speak of.
-        let two = others().any(|o| o.slot == host);
+        let two = others().any(|(o, _)| o.slot == host);
         if inverse < -3.0 * sigma
             || (!two && sigma > 0.5 * inverse.max(0.05))
             || inverse > crate::window::NEAREST
@@ -628,34 +616,42 @@ impl Odometry {
             return None;
         }
         let inverse = inverse.max(0.0);
-        let fine = others().all(|o| {
-            way(o)
-                .residual(&o.sighting, &sighting.direction, inverse)
+        let fine = others().all(|(o, way)| {
+            way.residual(&o.sighting, &sighting.direction, inverse)
                 .is_some_and(|r| r.norm() < window.params.outlier_px)
         });
         fine.then_some(inverse)
     }
 
-    /// Standard deviations of the latest position, rotation and velocity, by the equations of the last solution; infinite where it has
-    /// none.
-    fn sigmas(&mut self, first: bool) -> [f64; 3] {
+    /// Standard deviations of the latest position, rotation and velocity, and of the first frame's rotation, by the equations of the last
+    /// solution; infinite where it has none.
+    fn sigmas(&mut self, first: bool) -> [f64; 4] {
         let slot = self.window.frames.len() - 1;
         if let (true, Some(a)) = (first, self.window.anchor) {
-            return [a.position_m, a.tilt_rad.hypot(a.yaw_rad), a.velocity_m_s];
+            return [a.position_m, a.tilt_rad.hypot(a.yaw_rad), a.velocity_m_s, a.tilt_rad];
         }
         let at = 6 * slot;
         let root = |from: &[f64]| from.iter().sum::<f64>().sqrt();
+        let pose = [3, 4, 5, at, at + 1, at + 2, at + 3, at + 4, at + 5];
         let found = match self.window.motion_column(slot) {
-            Some(m) => self.normal.variances(&[at, at + 1, at + 2, at + 3, at + 4, at + 5, m, m + 1, m + 2]),
-            None => self
-                .normal
-                .variances(&[at, at + 1, at + 2, at + 3, at + 4, at + 5])
-                .map(|v| [v[0], v[1], v[2], v[3], v[4], v[5], 0.0, 0.0, 0.0]),
+            Some(m) => {
+                let [a, b, c, d, e, f, g, h, i] = pose;
+                self.normal
+                    .variances(&[a, b, c, d, e, f, g, h, i, m, m + 1, m + 2])
+                    .map(|v| [root(&v[3..6]), root(&v[6..9]), root(&v[9..]), root(&v[..3])])
+            }
+            None => self.normal.variances(&pose).map(|v| [root(&v[3..6]), root(&v[6..]), 0.0, root(&v[..3])]),
         };
-        found.map_or([f64::INFINITY; 3], |v| [root(&v[..3]), root(&v[3..6]), root(&v[6..])])
+        found.unwrap_or([f64::INFINITY; 4])
     }
 
-    fn judge(&mut self, known: usize, position_sigma_m: f64, velocity_sigma_m_s: f64) -> State {
+    fn judge(
+        &mut self,
+        known: usize,
+        position_sigma_m: f64,
+        velocity_sigma_m_s: f64,
+        tilt_rad: f64,
+    ) -> State {
         let params = self.window.params;
         let count = self.window.frames.len();
         let now = self.window.frames.last().map_or(Timestamp::default(), |frame| frame.time);
@@ -667,13 +663,8 @@ impl Odometry {
             return State::FindingDepth;
         }
         if !self.settled {
-            let tilt = match (params.inertial, self.window.anchor) {
-                (Some(_), Some(anchor)) if count == 1 => anchor.tilt_rad,
-                (Some(_), _) => {
-                    self.normal.variances(&[3, 4, 5]).map_or(1.0, |v| v.iter().sum::<f64>().sqrt())
-                }
-                _ => 0.0,
-            };
+            // Without an inertial unit the first camera is level.
+            let tilt = if params.inertial.is_some() { tilt_rad } else { 0.0 };
             let standing = self.window.frames.last().is_some_and(|f| f.still) && count > 2;
             self.settled = params.inertial.is_none() && count > 2
                 || (count >= params.first_frames && tilt < GRAVITY_RAD
@@ -689,7 +680,7 @@ impl Odometry {
         }
         let limit = params.pixel_px * if params.inertial.is_some() { MISFIT.0 } else { MISFIT.1 };
         match unseen_s {
-            _ if self.adrift >= ADRIFT => State::Lost,
+            _ if self.adrift_since.is_some_and(|since| seconds(since, now) >= ADRIFT_S) => State::Lost,
             None if self.misfit_px > limit => State::Disagreeing,
             None if velocity_sigma_m_s > UNKNOWN_M_S => State::FindingDepth,
             None => State::Tracked,

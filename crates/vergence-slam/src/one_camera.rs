@@ -6,7 +6,7 @@ use vergence_inertial::preintegrate::Biases;
 
 use crate::bootstrap::{Flight, Pair, two_views};
 use crate::link::{Link, Motion};
-use crate::odometry::Odometry;
+use crate::odometry::{Odometry, seconds};
 use crate::sighting::Sighting;
 use crate::window::Window;
 
@@ -14,10 +14,10 @@ use crate::window::Window;
 const PARALLAX_PX: f64 = 25.0;
 /// Corners that both views must share.
 const SHARED: usize = 30;
-/// Frames between two attempts at velocity and gravity; the span before the first, before one is believed, and the longest that an
-/// attempt takes, s.
-const EVERY: u64 = 4;
-const SPAN_S: (f64, f64, f64) = (0.35, 0.7, 2.5);
+/// Time between two attempts at velocity and gravity (each takes as long as ten frames or more); the span before the first, before one is
+/// believed, and the longest that an attempt takes, s.
+const EVERY_S: f64 = 0.175;
+const SPAN_S: (f64, f64, f64) = (0.375, 0.7, 2.5);
 /// Views and corners that an attempt takes.
 const VIEWS: usize = 10;
 const CORNERS: usize = 40;
@@ -202,9 +202,10 @@ impl Odometry {
             return count > 1;
         }
         let span = last.time.since(first.time).map_or(0.0, |s| s.as_secs_f64());
-        if span < SPAN_S.0 || !last.id.is_multiple_of(EVERY) {
+        if span < SPAN_S.0 || self.tried_at.is_some_and(|at| seconds(at, last.time) < EVERY_S) {
             return false;
         }
+        self.tried_at = Some(last.time);
         let links: Option<Vec<&Link>> = self.window.frames[1..].iter().map(|f| f.link.as_ref()).collect();
         let Some(links) = links else { return false };
         let camera = self.window.cameras[0];

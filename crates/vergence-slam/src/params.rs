@@ -55,9 +55,9 @@ pub struct Params {
     pub iterations: usize,
     /// A frame becomes a keyframe where less than this share of its tracks are known points; 0.7.
     pub known_share: f64,
-    /// Frames between two keyframes at least; 3.
-    pub keyframe_gap: usize,
-    /// Frames that are all kept at the start, until gravity is known; 12.
+    /// Time between two keyframes at least, s; 0.125 (every third frame of 20 Hz).
+    pub keyframe_gap_s: f64,
+    /// Frames that are all kept at the start, until gravity is known; 12. Each is one of the unknowns, so their number counts, not their time.
     pub first_frames: usize,
     /// Most points that take part; 400.
     pub points: usize,
@@ -80,7 +80,7 @@ impl Default for Params {
             keyframes: 7,
             iterations: 4,
             known_share: 0.7,
-            keyframe_gap: 3,
+            keyframe_gap_s: 0.125,
             first_frames: 12,
             points: 400,
             check_mounting: true,
@@ -103,6 +103,7 @@ impl Params {
         check(within(self.pixel_px, 0.01, 10.0), "pixel_px", "0.01 to 10", self.pixel_px)?;
         check(within(self.huber, 0.5, 100.0), "huber", "0.5 to 100", self.huber)?;
         check(within(self.outlier_px, 0.5, 100.0), "outlier_px", "0.5 to 100", self.outlier_px)?;
+        check(within(self.keyframe_gap_s, 0.0, 10.0), "keyframe_gap_s", "0 to 10", self.keyframe_gap_s)?;
         check(within(self.known_share, 0.0, 1.0), "known_share", "0 to 1", self.known_share)?;
         check(within(self.depth_inverse_m, 1e-5, 1.0), "depth_inverse_m", "1e-5 to 1", self.depth_inverse_m)?;
         if let Some(unit) = &self.inertial {
@@ -121,7 +122,6 @@ impl Params {
             (self.keyframes, 2, 30, "keyframes", "2 to 30"),
             (self.iterations, 1, 50, "iterations", "1 to 50"),
             (self.first_frames, 3, 60, "first_frames", "3 to 60"),
-            (self.keyframe_gap, 1, 100, "keyframe_gap", "1 to 100"),
             (self.points, 10, 5000, "points", "10 to 5000"),
         ];
         for (value, low, high, name, expected) in counts {

@@ -11,12 +11,25 @@ use crate::Error;
 
 /// Largest text file that is read, bytes.
 pub(crate) const MOST_BYTES: u64 = 1 << 30;
+/// A whole number from here on is no time in seconds.
+const LEAST_NANOS: i64 = 100_000_000_000_000_000;
 
 /// Poses of one body, each later than the one before: `world_from_body`, metres. The world is the file's own (EuRoC and TUM: z up).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trajectory {
     /// When, and where.
     pub poses: Vec<(Timestamp, Rigid)>,
+}
+
+/// How a file says rotations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rotations {
+    /// Not at all: positions alone.
+    None,
+    /// As quaternions x y z w (TUM).
+    ScalarLast,
+    /// As quaternions w x y z (EuRoC).
+    ScalarFirst,
 }
 
 pub(crate) fn read_text(path: &Path) -> Result<String, Error> {
@@ -31,8 +44,9 @@ pub(crate) fn read_text(path: &Path) -> Result<String, Error> {
 }
 
 impl Trajectory {
-    /// Reads TUM's format (`t x y z qx qy qz qw` with spaces, seconds) or EuRoC's truth (`#timestamp,…` with commas, nanoseconds, then
-    /// position and quaternion w x y z); `#` begins a comment.
+    /// Reads TUM's format (`t x y z qx qy qz qw`) or EuRoC's truth (`#timestamp,…`: nanoseconds, then position and quaternion w x y z); `#`
+    /// begins a comment. With spaces, times are seconds, or whole nanoseconds from 1e17 on (1973). With commas, they are whole
+    /// nanoseconds in EuRoC's order; where any of them has a decimal point, all are seconds in TUM's order.
     ///
     /// # Errors
     /// File, line and word of the first fault: a number that is none, too few or too many, time that does not grow, a quaternion
@@ -41,48 +55,61 @@ impl Trajectory {
         Self::parse(&read_text(path)?, path)
     }
 
+    /// As [`Trajectory::read`]; a file may say positions only (`t x y z`, as a laser tracker does): then rotations are
+    /// [`Rotations::None`], and those of the poses mean nothing.
+    ///
+    /// # Errors
+    /// Those of [`Trajectory::read`]; lines of both kinds.
+    pub fn read_places(path: &Path) -> Result<(Self, Rotations), Error> {
+        Self::parse_with(&read_text(path)?, path, UnitQuaternion::new_normalize, true)
+    }
+
     /// Reads the same from `text`, and keeps the numbers of each quaternion as they are written: their length is 1 only as far as their
     /// digits go. For writing them elsewhere, not for reckoning with them. Errors begin with `path`.
     ///
     /// # Errors
     /// Those of [`Trajectory::read`].
     pub fn parse_as_written(text: &str, path: &Path) -> Result<Self, Error> {
-        Self::parse_with(text, path, UnitQuaternion::new_unchecked)
+        Self::parse_with(text, path, UnitQuaternion::new_unchecked, false).map(|(poses, _)| poses)
     }
 
     pub(crate) fn parse(text: &str, path: &Path) -> Result<Self, Error> {
-        Self::parse_with(text, path, UnitQuaternion::new_normalize)
+        Self::parse_with(text, path, UnitQuaternion::new_normalize, false).map(|(poses, _)| poses)
     }
 
+    /// With `places`, lines may end behind the position.
     fn parse_with(
         text: &str,
         path: &Path,
         rotation_of: fn(Quaternion<f64>) -> UnitQuaternion<f64>,
-    ) -> Result<Self, Error> {
+        places: bool,
+    ) -> Result<(Self, Rotations), Error> {
         let mut poses: Vec<(Timestamp, Rigid)> = Vec::new();
-        for (index, line) in text.lines().enumerate() {
-            let content = line.trim();
-            if content.is_empty() || content.starts_with('#') {
-                continue;
-            }
+        let mut rotations = Rotations::ScalarLast;
+        let lines =
+            || text.lines().map(str::trim).enumerate().filter(|l| !l.1.is_empty() && !l.1.starts_with('#'));
+        let seconds =
+            lines().any(|(_, line)| line.split_once(',').is_some_and(|(time, _)| time.contains('.')));
+        for (index, content) in lines() {
             let wrong = |word: usize, expected: &str, found: &str| {
                 let found: String = found.chars().take(40).collect();
                 Error::content(path, (index + 1, word), expected, found)
             };
             let commas = content.contains(',');
+            let euroc = commas && !seconds;
             let mut words = content
                 .split(|c: char| if commas { c == ',' } else { c.is_whitespace() })
                 .map(str::trim)
                 .filter(|word| !word.is_empty());
             let first = words.next().unwrap_or_default();
-            let at = if commas {
-                first.parse().ok().map(Timestamp::from_nanos)
-            } else {
-                Timestamp::from_decimal(first, 9)
+            let whole = first.parse::<i64>().ok().filter(|nanos| euroc || *nanos >= LEAST_NANOS);
+            let at = match whole {
+                Some(nanos) => Some(Timestamp::from_nanos(nanos)),
+                None if euroc => None,
+                None => Timestamp::from_decimal(first, 9),
             };
-            let at = at.ok_or_else(|| {
-                wrong(1, if commas { "whole nanoseconds" } else { "a time in seconds" }, first)
-            })?;
+            let expected = if euroc { "whole nanoseconds" } else { "a time in seconds" };
+            let at = at.ok_or_else(|| wrong(1, expected, first))?;
             let mut values = [0.0; 7];
             let mut count = 0;
             for word in words {
@@ -96,24 +123,40 @@ impl Trajectory {
                 let number = word.parse::<f64>().ok().filter(|x| x.is_finite());
                 *value = number.ok_or_else(|| wrong(count + 1, "a finite number", word))?;
             }
-            if count < 7 {
-                return Err(wrong(count + 1, "eight numbers", &(count + 1).to_string()));
+            if poses.is_empty() {
+                rotations = match (places && count == 3, euroc) {
+                    (true, _) => Rotations::None,
+                    (false, true) => Rotations::ScalarFirst,
+                    (false, false) => Rotations::ScalarLast,
+                };
+            }
+            let turned = rotations != Rotations::None;
+            let needed = if turned { 7 } else { 3 };
+            if count != needed {
+                let expected = if turned { "eight numbers" } else { "four numbers, as before" };
+                return Err(wrong(count + 1, expected, &(count + 1).to_string()));
             }
             if let Some((last, _)) = poses.last().filter(|(last, _)| at <= *last) {
                 let expected = format!("a time after {} ns", last.as_nanos());
                 return Err(wrong(1, &expected, &format!("{} ns", at.as_nanos())));
             }
             let [x, y, z, a, b, c, d] = values;
-            let q = if commas { Quaternion::new(a, b, c, d) } else { Quaternion::new(d, a, b, c) };
-            if (q.norm() - 1.0).abs() > 0.01 {
-                return Err(wrong(5, "a quaternion of unit length", &format!("length {}", q.norm())));
-            }
-            poses.push((at, Rigid::from_parts(nalgebra::Vector3::new(x, y, z).into(), rotation_of(q))));
+            let rotation = match (turned, euroc) {
+                (false, _) => UnitQuaternion::identity(),
+                (true, order) => {
+                    let q = if order { Quaternion::new(a, b, c, d) } else { Quaternion::new(d, a, b, c) };
+                    if (q.norm() - 1.0).abs() > 0.01 {
+                        return Err(wrong(5, "a quaternion of unit length", &format!("length {}", q.norm())));
+                    }
+                    rotation_of(q)
+                }
+            };
+            poses.push((at, Rigid::from_parts(nalgebra::Vector3::new(x, y, z).into(), rotation)));
         }
         if poses.is_empty() {
             return Err(Error::file(path, "poses", "none"));
         }
-        Ok(Self { poses })
+        Ok((Self { poses }, rotations))
     }
 
     /// Writes TUM's format, times to the nanosecond, numbers to the last bit.
@@ -168,6 +211,39 @@ mod tests {
         let euroc = parse("#timestamp,p\n1403715281262140000,1,2,3,0.8,0,0,0.6,9,9,9\n").unwrap();
         assert_eq!(tum, euroc);
         assert_eq!(tum.poses[0].0.as_nanos(), 1_403_715_281_262_140_000);
+        // As spreadsheets and scripts write them.
+        for text in
+            ["# t,x,y\n1403715281.262140000,1,2,3,0,0,0.6,0.8\n", "1403715281262140000 1 2 3 0 0 0.6 0.8\n"]
+        {
+            assert_eq!(parse(text).unwrap(), tum, "{text}");
+        }
+        // One time without a point among times in seconds is in seconds, too.
+        let commas = parse("1.5,1,2,3,0,0,0.6,0.8\n2,1,2,3,0,0,0.6,0.8\n").unwrap();
+        assert_eq!(commas.poses[1].0.as_nanos(), 2_000_000_000);
+        assert_eq!(commas.poses[1].1, tum.poses[0].1);
+    }
+
+    #[test]
+    fn positions_alone_are_read_where_they_are_wanted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("leica.csv");
+        let table = "#timestamp,x,y,z\n1403715281262140000,1,2,3\n1403715281312140000,1,2,4\n";
+        std::fs::write(&path, table).unwrap();
+        let (places, rotations) = Trajectory::read_places(&path).unwrap();
+        assert!(
+            rotations == Rotations::None
+                && places.poses.len() == 2
+                && places.poses[1].1 == Rigid::translation(1.0, 2.0, 4.0)
+        );
+        let said = Trajectory::read(&path).unwrap_err().to_string();
+        assert!(said.contains(":2:4: expected eight numbers, found 4"), "{said}");
+        std::fs::write(&path, format!("{table}1403715281362140000,1,2,4,1,0,0,0\n")).unwrap();
+        let said = Trajectory::read_places(&path).unwrap_err().to_string();
+        assert!(said.contains(":4:8: expected four numbers, as before, found 8"), "{said}");
+        std::fs::write(&path, "1 1 2 3 0 0 0.6 0.8\n").unwrap();
+        assert_eq!(Trajectory::read_places(&path).unwrap().1, Rotations::ScalarLast);
+        std::fs::write(&path, "1403715281262140000,1,2,3,0.8,0,0,0.6\n").unwrap();
+        assert_eq!(Trajectory::read_places(&path).unwrap().1, Rotations::ScalarFirst);
     }
 
     #[test]
@@ -213,6 +289,7 @@ mod tests {
         #[test]
         fn damaged_text_never_panics(text in "[-0-9., eE#xn\n]{0,400}") {
             let _ = parse(&text);
+            let _ = Trajectory::parse_with(&text, Path::new("t"), UnitQuaternion::new_normalize, true);
         }
     }
 }

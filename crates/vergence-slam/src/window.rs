@@ -211,6 +211,7 @@ pub(crate) struct Window {
     ways: Vec<Way>,
     line_ways: Vec<Way>,
     relative_step: Vec<f64>,
+    begins: Vec<usize>,
 }
 
 impl Window {
@@ -483,15 +484,32 @@ impl Window {
         (0..self.frames.len()).map(|host| self.points_of(host, None)).sum::<f64>() + frames
     }
 
-    /// Residual of each sighting of each point, in pixels, and whether it is in front of the camera.
-    pub(crate) fn residual_px(&self, point: &Point, observation: &Observation) -> Option<f64> {
-        let (host, target) = (&self.frames[point.host_slot].pose, &self.frames[observation.slot].pose);
-        let way = Way::new(
-            &target.inv_mul(host),
-            &self.cameras[usize::from(point.camera)],
-            &self.cameras[usize::from(observation.sighting.camera)],
-        );
-        way.residual(&observation.sighting, &point.direction, point.inverse_distance).map(|r| r.norm())
+    /// What is left of each sighting of each point, in their order, pixels; `None` behind the camera.
+    pub(crate) fn residuals_px(&mut self, into: &mut Vec<Option<f64>>) {
+        let mut begins = std::mem::take(&mut self.begins);
+        begins.clear();
+        let mut count = 0;
+        for point in &self.points {
+            begins.push(count);
+            count += point.seen.len();
+        }
+        into.clear();
+        into.resize(count, None);
+        for host in 0..self.frames.len() {
+            if self.hosted[host].points.is_empty() {
+                continue;
+            }
+            self.ways_from(host, false);
+            for &index in &self.hosted[host].points {
+                let point = &self.points[index];
+                for (o, into) in point.seen.iter().zip(&mut into[begins[index]..]) {
+                    let way = &self.ways[self.way_index(point.camera, o.slot, o.sighting.camera)];
+                    let residual = way.residual(&o.sighting, &point.direction, point.inverse_distance);
+                    *into = residual.map(|r| r.norm());
+                }
+            }
+        }
+        self.begins = begins;
     }
 }
 

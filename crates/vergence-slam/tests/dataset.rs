@@ -9,9 +9,9 @@ use nalgebra::Vector3;
 use vergence_geom::{Camera, Distortion, Lens, Rigid};
 use vergence_sense::Imu;
 use vergence_slam::Inertial;
-use vergence_slam::dataset::{Calibration, Dataset, Rig, Writer, rig};
+use vergence_slam::dataset::{Calibration, Dataset, Opening, Rig, Writer, rig};
 use vergence_slam::trajectory::Trajectory;
-use vergence_time::Timestamp;
+use vergence_time::{Span, Timestamp};
 
 const CAMERA: &str = "%YAML:1.0
 sensor_type: camera
@@ -87,7 +87,7 @@ fn a_whole_recording_is_read() {
     whole(folder.path());
     for root in [folder.path().to_owned(), folder.path().join("mav0")] {
         let dataset = Dataset::open(&root).unwrap();
-        assert_eq!((dataset.cameras.len(), dataset.frames.len(), dataset.unpaired), (2, 5, 0));
+        assert_eq!((dataset.cameras.len(), dataset.frames.len(), &dataset.pictures[..]), (2, 5, &[5, 5][..]));
         assert_eq!(dataset.frames[0].at.as_nanos(), START);
         assert_eq!(dataset.inertial.as_ref().map(|unit| unit.samples.len()), Some(60));
         let baseline = dataset.cameras[0].body_from_camera.inverse() * dataset.cameras[1].body_from_camera;
@@ -138,7 +138,7 @@ fn what_is_written_is_read_again() {
     writer.finish(&readings, &truth).unwrap();
 
     let found = Dataset::open(folder.path()).unwrap();
-    assert_eq!((found.frames.len(), found.unpaired, found.frames[3].at), (4, 0, time(3)));
+    assert_eq!((found.frames.len(), &found.pictures[..], found.frames[3].at), (4, &[4, 4, 4][..], time(3)));
     let pictures = found.pictures(2).unwrap();
     assert!((0..3).all(|n| pictures[n].pixels == pixels(2, 48 + 2 * n as i64)));
     let inertial = found.inertial.unwrap();
@@ -237,25 +237,80 @@ fn readings_of_another_flight_or_in_other_units_are_refused() {
     );
 }
 
-#[test]
-fn clocks_of_cameras_may_differ_by_microseconds() {
-    let folder = tempfile::tempdir().unwrap();
-    whole(folder.path());
-    let path = folder.path().join("mav0/cam1/data.csv");
+/// The second camera's times, moved by so much.
+fn shift_second(folder: &Path, nanos: i64) {
+    let path = folder.join("mav0/cam1/data.csv");
     let shifted: String = fs::read_to_string(&path)
         .unwrap()
         .lines()
         .map(|line| match line.split_once(',') {
             Some((at, name)) if !at.starts_with('#') => {
-                format!("{},{name}\n", at.parse::<i64>().unwrap() + 3000)
+                format!("{},{name}\n", at.parse::<i64>().unwrap() + nanos)
             }
             _ => format!("{line}\n"),
         })
         .collect();
     fs::write(&path, shifted).unwrap();
+}
+
+#[test]
+fn clocks_of_cameras_may_differ_by_microseconds_and_by_more_where_that_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    whole(folder.path());
+    shift_second(folder.path(), 3000);
     let dataset = Dataset::open(folder.path()).unwrap();
-    assert_eq!((dataset.frames.len(), dataset.unpaired), (5, 0));
+    assert_eq!((dataset.frames.len(), &dataset.pictures[..]), (5, &[5, 5][..]));
     assert!(dataset.frames.iter().enumerate().all(|(k, f)| f.at.as_nanos() == START + 50_000_000 * k as i64));
+    assert_eq!(dataset.doubts(true), [""; 0]);
+
+    shift_second(folder.path(), -2_503_000);
+    let said = Dataset::open(folder.path()).map(|_| ()).unwrap_err().to_string();
+    assert!(
+        said.ends_with(
+            "expected cameras with pictures at the same times (within 1.000 ms), found 5 pictures, 5 pictures and none in common; the nearest of \
+             another camera is 2.500 ms earlier in the middle, and a longer pair_within_ms takes them together"
+        ),
+        "{said}"
+    );
+    let opening = |millis| Opening { pair_within: Span::from_millis(millis), ..Opening::default() };
+    let found = Dataset::open_as(folder.path(), &opening(3)).unwrap();
+    assert_eq!((found.frames.len(), found.apart, found.pair_within), (5, None, Span::from_millis(3)));
+    let said = Dataset::open_as(folder.path(), &opening(101)).map(|_| ()).unwrap_err().to_string();
+    assert_eq!(said, "pair_within_ms: expected 0 to 100, found 101");
+}
+
+#[test]
+fn what_is_left_out_and_missing_is_said() {
+    // Two pictures of the second camera and half a second of readings are missing.
+    let folder = tempfile::tempdir().unwrap();
+    whole(folder.path());
+    let keep = |file: &str, is: &dyn Fn(usize) -> bool| {
+        let path = folder.path().join(file);
+        let text = fs::read_to_string(&path).unwrap();
+        let kept: Vec<&str> = text.lines().enumerate().filter(|l| is(l.0)).map(|l| l.1).collect();
+        fs::write(&path, kept.join("\n")).unwrap();
+    };
+    keep("mav0/cam1/data.csv", &|line| line != 2 && line != 4);
+    keep("mav0/imu0/data.csv", &|line| !(11..19).contains(&line));
+    let dataset = Dataset::open(folder.path()).unwrap();
+    assert_eq!((dataset.frames.len(), &dataset.pictures[..]), (3, &[5, 3][..]));
+    let said = dataset.doubts(true);
+    assert_eq!(
+        said,
+        [
+            "2 of 5 pictures of cam0 have no partner within 1.000 ms in every other camera: left out; the nearest is 50.000 ms away in the middle",
+            "no readings for 0.045 s after 0.045 s (more than five periods)",
+        ]
+    );
+    assert_eq!(dataset.doubts(false).len(), 1);
+    let bag = folder.path().join("flight.bag");
+    fs::write(&bag, "#ROSBAG").unwrap();
+    let said = Dataset::open(&bag).map(|_| ()).unwrap_err().to_string();
+    assert!(
+        said.contains("expected a folder")
+            && said.ends_with("kalibr_bagextractor makes one of a bag, found a file"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -358,7 +413,9 @@ fn kalibrs_files_take_the_place_of_the_folders_own() {
         fs::remove_file(folder.path().join(format!("mav0/{sensor}/sensor.yaml"))).unwrap();
     }
     let calibration = Calibration::kalibr(&[unit.clone(), chain.clone()]).unwrap();
-    let found = Dataset::open_as(folder.path(), Some(&calibration)).unwrap();
+    let found =
+        Dataset::open_as(folder.path(), &Opening { calibration: Some(&calibration), ..Opening::default() })
+            .unwrap();
     assert_eq!(found.frames[0].at, Timestamp::from_nanos(START + 1_250_000));
     assert_eq!(
         found.inertial.as_ref().map(|i| (i.unit, i.rate_hz)),

@@ -151,6 +151,40 @@ fn cameras_that_sit_otherwise_are_named() {
     assert_eq!(turned(&swapped, [none, none], 40, Mode::Stereo, false), None);
 }
 
+#[test]
+fn a_map_that_begins_after_a_loss_is_another_one() {
+    let Some(folder) = recording("half_real_v101_14s") else { return skip("no half-real flight") };
+    let dataset = Dataset::open(&folder).unwrap();
+    let black = Picture { width: 752, height: 480, pixels: vec![0; 752 * 480] };
+    let mut follower = Follower::new(
+        &dataset.root,
+        &dataset.rig(),
+        Mode::Stereo,
+        TrackerKnobs::default(),
+        Params::default(),
+        1,
+    )
+    .unwrap();
+    let mut estimates = Vec::new();
+    for frame in 0..60 {
+        for camera in 0..2 {
+            let taken = if (30..40).contains(&frame) {
+                black.clone()
+            } else {
+                dataset.picture(frame, camera).unwrap()
+            };
+            follower.picture(camera, dataset.frames[frame].at, taken);
+        }
+        estimates.push(follower.follow().unwrap().unwrap());
+    }
+    assert!(estimates[..30].iter().all(|e| e.map == 0 && e.state != State::Lost));
+    assert!(estimates[32..40].iter().all(|e| e.state == State::Lost), "{:?}", estimates[35].state);
+    assert!(estimates[42..].iter().all(|e| e.map == 1 && e.state == State::Tracked));
+    println!("sigma {} m before, {} m after", estimates[29].position_sigma_m, estimates[59].position_sigma_m);
+    // How far it went meanwhile nobody knows.
+    assert!(estimates[29].position_sigma_m < 0.05 && estimates[59].position_sigma_m > 0.3);
+}
+
 /// The beginning of the flight, with other pictures in a part of it; errors after alignment up to each of `until` frames, and the states.
 fn disturbed(
     dataset: &Dataset,

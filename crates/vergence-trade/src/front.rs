@@ -13,18 +13,22 @@ pub enum Limit {
 
 impl Trade {
     /// The measurements that no other one beats (`cost` and `error` are indices of scales): each has a smaller error
-    /// than all cheaper ones. Indices into [`Self::measurements`], from the cheapest; of equal ones, the first that
-    /// was recorded. O(n log n).
+    /// than all cheaper ones, by more than the errors' noise ([`Self::with_error_noise`]). Indices into [`Self::measurements`], from the
+    /// cheapest; of equal ones, the first that was recorded. O(n log n).
     ///
     /// # Panics
     /// Where an index is not below the number of scales.
     pub fn pareto(&self, cost: usize, error: usize) -> Vec<usize> {
+        self.front(cost, error, self.error_noise)
+    }
+
+    fn front(&self, cost: usize, error: usize, noise: f64) -> Vec<usize> {
         let mut order: Vec<(usize, f64, f64)> = self.finite(cost, error).collect();
         order.sort_by(|a, b| ascending(a.1, b.1).then(ascending(a.2, b.2)).then(a.0.cmp(&b.0)));
         let mut least_error = f64::INFINITY;
         let mut front = Vec::new();
         for (index, _, error) in order {
-            if error < least_error {
+            if error < least_error * (1.0 - noise) || least_error == f64::INFINITY {
                 least_error = error;
                 front.push(index);
             }
@@ -32,7 +36,8 @@ impl Trade {
         front
     }
 
-    /// The setting to use: always on the front of the two scales. Index into [`Self::measurements`].
+    /// The setting to use: always on the front of the two scales; for a limit of the error on that without noise, as the limit is kept or not. Index
+    /// into [`Self::measurements`].
     ///
     /// # Errors
     /// Where no measurement keeps the limit (NaN keeps none); it says which comes nearest.
@@ -40,7 +45,8 @@ impl Trade {
     /// # Panics
     /// Where an index is not below the number of scales.
     pub fn choose(&self, cost: usize, error: usize, limit: Limit) -> Result<usize, Error> {
-        let front = self.pareto(cost, error);
+        let noise = if matches!(limit, Limit::Error(_)) { 0.0 } else { self.error_noise };
+        let front = self.front(cost, error, noise);
         let value = |index: &usize| &self.measurements[*index];
         // The front runs from cheap and wrong to dear and right.
         let (chosen, nearest, scale, most) = match limit {

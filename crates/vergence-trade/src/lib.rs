@@ -47,6 +47,8 @@ pub struct Trade {
     knobs: Vec<Knob>,
     costs: Vec<Scale>,
     errors: Vec<Scale>,
+    /// Errors that differ by less than this share are the same: a front has no steps below it.
+    error_noise: f64,
     measurements: Vec<Measurement>,
 }
 
@@ -74,7 +76,15 @@ impl Trade {
                 return Err(Error::Twice { name: knob.name.clone() });
             }
         }
-        Ok(Self { title: title.into(), knobs, costs, errors, measurements: Vec::new() })
+        Ok(Self { title: title.into(), knobs, costs, errors, error_noise: 0.0, measurements: Vec::new() })
+    }
+
+    /// With errors that repeat only so well (0.1: a tenth): a dearer setting must err by more than this share less than a cheaper one to beat
+    /// it. 0, and every difference counts, where it is not said.
+    #[must_use]
+    pub fn with_error_noise(mut self, share: f64) -> Self {
+        self.error_noise = share.clamp(0.0, 1.0);
+        self
     }
 
     /// Every combination of the knobs' values: the last knob changes fastest.

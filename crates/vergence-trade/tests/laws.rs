@@ -144,3 +144,17 @@ fn a_knob_that_turns_nothing_is_noticed() {
     trade.push(Measurement { setting, costs: vec![1.0], errors: vec![0.76] }).unwrap();
     assert!(trade.indistinct().is_empty(), "once they differed");
 }
+
+#[test]
+fn errors_that_differ_by_noise_make_no_front() {
+    let measured =
+        [(1.0, 1.0), (2.0, 0.95), (3.0, 0.89), (4.0, 0.85), (5.0, 0.4), (6.0, 0.3999), (7.0, f64::NAN)];
+    let (exact, coarse) = (trade(&measured), trade(&measured).with_error_noise(0.1));
+    assert_eq!(exact.pareto(0, 0), [0, 1, 2, 3, 4, 5]);
+    assert_eq!(coarse.pareto(0, 0), [0, 2, 4]);
+    // A budget takes what is better by more than noise; a limit of the error is kept to the letter.
+    assert_eq!(coarse.choose(0, 0, Limit::Cost(4.5)), Ok(2));
+    assert_eq!(coarse.choose(0, 0, Limit::Cost(9.0)), Ok(4));
+    assert_eq!(coarse.choose(0, 0, Limit::Error(0.86)), Ok(3));
+    assert_eq!(coarse.choose(0, 0, Limit::Error(0.39995)), Ok(5));
+}

@@ -8,8 +8,8 @@ use vergence_inertial::preintegrate::NoiseDensities;
 use vergence_time::Timestamp;
 
 use super::calibration::Sheet;
-use super::kalibr::Calibration;
-use super::{Dataset, FrameFiles, InertialRecording, Rig, TOGETHER_NS, check_there};
+use super::pairing::{milliseconds, pair};
+use super::{Dataset, FrameFiles, InertialRecording, Opening, Rig, check_there};
 use crate::trajectory::{Trajectory, read_text};
 use crate::{Error, Inertial};
 
@@ -65,7 +65,8 @@ pub(super) fn unit(sheet: &Sheet) -> Result<Inertial, Error> {
 /// More cameras than any rig has.
 const MOST_CAMERAS: usize = 64;
 
-pub(super) fn open(folder: &Path, rig: &Path, given: Option<&Calibration>) -> Result<Dataset, Error> {
+pub(super) fn open(folder: &Path, rig: &Path, opening: &Opening<'_>) -> Result<Dataset, Error> {
+    let given = opening.calibration;
     let (Rig { cameras, inertial }, body_from_imu) = match given {
         Some(given) => (given.rig.clone(), Rigid::identity()),
         None => read_rig(rig)?,
@@ -89,19 +90,40 @@ pub(super) fn open(folder: &Path, rig: &Path, given: Option<&Calibration>) -> Re
         }
         None => None,
     };
-    let (frames, unpaired) = pair(&tables);
-    if frames.is_empty() {
-        let times: Vec<String> = tables.iter().map(|table| format!("{} pictures", table.len())).collect();
+    let times: Vec<Vec<Timestamp>> =
+        tables.iter().map(|table| table.iter().map(|row| row.0).collect()).collect();
+    let paired = pair(&times, opening.pair_within);
+    if paired.frames.is_empty() {
+        let counts: Vec<String> = tables.iter().map(|table| format!("{} pictures", table.len())).collect();
+        let apart = paired.apart.map_or_else(String::new, |apart| {
+            let (later, by) = (if apart.as_nanos() < 0 { "earlier" } else { "later" }, milliseconds(apart));
+            format!("; the nearest of another camera is {by} {later} in the middle, and a longer pair_within_ms takes them together")
+        });
         return Err(Error::file(
             rig,
-            "cameras with pictures at the same times",
-            format!("{} and none in common", times.join(", ")),
+            format!("cameras with pictures at the same times (within {})", milliseconds(opening.pair_within)),
+            format!("{} and none in common{apart}", counts.join(", ")),
         ));
     }
+    let frame = |numbers: &Vec<usize>| FrameFiles {
+        at: times[0][numbers[0]],
+        pictures: numbers.iter().zip(&tables).map(|(number, table)| table[*number].1.clone()).collect(),
+        depth: None,
+    };
+    let frames: Vec<FrameFiles> = paired.frames.iter().map(frame).collect();
     if let Some(inertial) = &inertial {
         check_readings(&place.join("data.csv"), inertial, &frames)?;
     }
-    Ok(Dataset { root: folder.to_owned(), cameras, inertial, frames, truth, unpaired })
+    Ok(Dataset {
+        root: folder.to_owned(),
+        cameras,
+        inertial,
+        frames,
+        truth,
+        pictures: tables.iter().map(Vec::len).collect(),
+        pair_within: opening.pair_within,
+        apart: paired.apart,
+    })
 }
 
 /// That readings are of the same flight as the frames, and in SI units: what accelerometers feel is gravity above all.
@@ -186,32 +208,18 @@ fn pictures(place: &Path) -> Result<Vec<(Timestamp, PathBuf)>, Error> {
     Ok(all)
 }
 
-/// Frames at the first camera's times for which all cameras have a picture, and how many pictures stay alone.
-fn pair(tables: &[Vec<(Timestamp, PathBuf)>]) -> (Vec<FrameFiles>, usize) {
-    let Some((first, others)) = tables.split_first() else { return (Vec::new(), 0) };
-    let mut frames = Vec::with_capacity(first.len());
-    for (at, picture) in first {
-        let partner = |table: &Vec<(Timestamp, PathBuf)>| {
-            let after = table.partition_point(|row| row.0 < *at);
-            let apart = |row: &(Timestamp, PathBuf)| row.0.as_nanos().abs_diff(at.as_nanos());
-            let near = table[after.saturating_sub(1)..].iter().take(2).min_by_key(|row| apart(row))?;
-            (apart(near) <= TOGETHER_NS).then(|| near.1.clone())
-        };
-        if let Some(rest) = others.iter().map(partner).collect::<Option<Vec<_>>>() {
-            let pictures = std::iter::once(picture.clone()).chain(rest).collect();
-            frames.push(FrameFiles { at: *at, pictures, depth: None });
-        }
-    }
-    let unpaired = tables.iter().map(|table| table.len() - frames.len()).sum();
-    (frames, unpaired)
+fn read_truth(folder: &Path, rig: &Path) -> Result<Option<Trajectory>, Error> {
+    let table = rig.join(TABLE);
+    let found = if table.is_file() { Some(table) } else { beside(folder)? };
+    found.map(|path| Trajectory::read(&path)).transpose()
 }
 
-fn read_truth(folder: &Path, rig: &Path) -> Result<Option<Trajectory>, Error> {
-    let table = rig.join("state_groundtruth_estimate0").join("data.csv");
-    if table.is_file() {
-        return Trajectory::read(&table).map(Some);
-    }
-    let mut beside: Vec<PathBuf> = std::fs::read_dir(folder)
+/// EuRoC's own truth.
+const TABLE: &str = "state_groundtruth_estimate0/data.csv";
+
+/// A truth in TUM's format: `truth.tum`, or `gt*.txt`.
+fn beside(folder: &Path) -> Result<Option<PathBuf>, Error> {
+    let mut found: Vec<PathBuf> = std::fs::read_dir(folder)
         .map_err(Error::read(folder))?
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| {
@@ -219,6 +227,12 @@ fn read_truth(folder: &Path, rig: &Path) -> Result<Option<Trajectory>, Error> {
             name.starts_with("gt") && name.ends_with(".txt") || name == "truth.tum"
         })
         .collect();
-    beside.sort();
-    beside.first().map(|path| Trajectory::read(path)).transpose()
+    found.sort();
+    Ok(found.into_iter().next())
+}
+
+pub(super) fn truth_file(folder: &Path) -> Option<PathBuf> {
+    let tables = ["mav0", ""].map(|rig| folder.join(rig).join(TABLE));
+    let of_euroc = tables.into_iter().find(|table| table.is_file());
+    of_euroc.or_else(|| beside(folder).ok().flatten())
 }

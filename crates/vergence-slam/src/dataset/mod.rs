@@ -7,6 +7,7 @@
 mod calibration;
 mod euroc;
 mod kalibr;
+mod pairing;
 mod seven_scenes;
 mod stream;
 mod writer;
@@ -22,11 +23,26 @@ use crate::Error;
 use crate::trajectory::Trajectory;
 
 pub use kalibr::Calibration;
+pub use pairing::{MOST_APART, holes, say_holes};
 pub use stream::DatasetSource;
 pub use writer::Writer;
 
-/// Pictures that are not farther apart than this are of one instant, ns: clocks of hardware that is triggered differ by microseconds.
-pub(crate) const TOGETHER_NS: u64 = 1_000_000;
+/// How a folder is opened.
+#[derive(Clone, Copy, Debug)]
+pub struct Opening<'a> {
+    /// Another calibration than the folder's own, which need not be there (EuRoC's).
+    pub calibration: Option<&'a Calibration>,
+    /// Pictures of different cameras that are not farther apart than this are of one instant, the first camera's; 1 ms: clocks of hardware that
+    /// is triggered differ by microseconds. What lies between two exposures is an error: a rig that moves at 1 m/s is a millimetre on
+    /// after each millisecond.
+    pub pair_within: Span,
+}
+
+impl Default for Opening<'_> {
+    fn default() -> Self {
+        Self { calibration: None, pair_within: Span::from_millis(1) }
+    }
+}
 
 /// A recording: what its sensors are, and where each frame's pictures lie.
 #[derive(Clone, Debug)]
@@ -41,8 +57,12 @@ pub struct Dataset {
     pub frames: Vec<FrameFiles>,
     /// Where the body truly was.
     pub truth: Option<Trajectory>,
-    /// Pictures of one camera that no other camera has a partner for; they are left out.
-    pub unpaired: usize,
+    /// Pictures of each camera, also of those instants of which another camera has none: these are in no frame.
+    pub pictures: Vec<usize>,
+    /// As it was opened.
+    pub pair_within: Span,
+    /// How far the nearest picture of another camera is from those of the first that have no partner, in the middle (positive: later); `None` where all have one.
+    pub apart: Option<Span>,
 }
 
 /// The recording of an inertial unit.
@@ -161,21 +181,36 @@ impl Dataset {
     /// The first fault that is found: no such folder, a missing or empty file, a table whose times do not grow, a calibration that
     /// cannot be.
     pub fn open(folder: &Path) -> Result<Self, Error> {
-        Self::open_as(folder, None)
+        Self::open_as(folder, &Opening::default())
     }
 
-    /// As [`Self::open`], a EuRoC folder with another calibration than its own, which need not be there.
+    /// As [`Self::open`], otherwise than usual.
     ///
     /// # Errors
-    /// As [`Self::open`]; a calibration for a 7-Scenes folder.
-    pub fn open_as(folder: &Path, calibration: Option<&Calibration>) -> Result<Self, Error> {
+    /// As [`Self::open`]; a calibration for a 7-Scenes folder; pictures that may be further apart than [`MOST_APART`].
+    pub fn open_as(folder: &Path, opening: &Opening<'_>) -> Result<Self, Error> {
+        let within = opening.pair_within;
+        if !(Span::ZERO..=MOST_APART).contains(&within) {
+            let found = within.as_millis_f64();
+            return Err(Error::Knob { name: "pair_within_ms", expected: "0 to 100", found });
+        }
+        if folder.is_file() {
+            let hint = match folder.extension().and_then(|end| end.to_str()) {
+                Some("bag") => "; Kalibr's kalibr_bagextractor makes one of a bag",
+                Some("mcap") => "; log export euroc makes one of a log",
+                _ => "",
+            };
+            let expected =
+                format!("a folder with mav0/cam0 (EuRoC) or frame-000000.color.jpg (7-Scenes){hint}");
+            return Err(Error::file(folder, expected, "a file"));
+        }
         std::fs::read_dir(folder).map_err(Error::read(folder))?;
         if let Some(rig) =
             [folder.join("mav0"), folder.to_owned()].into_iter().find(|f| f.join("cam0").is_dir())
         {
-            return euroc::open(folder, &rig, calibration);
+            return euroc::open(folder, &rig, opening);
         }
-        if calibration.is_some() {
+        if opening.calibration.is_some() {
             return Err(Error::file(folder, "a folder with mav0/cam0 (EuRoC) for a calibration", "none"));
         }
         if folder.join("frame-000000.pose.txt").is_file() || folder.join("camera-intrinsics.txt").is_file() {
@@ -262,6 +297,12 @@ pub struct Rig {
 pub fn rig(folder: &Path) -> Result<Rig, Error> {
     let inner = folder.join("mav0");
     euroc::rig(if inner.is_dir() { &inner } else { folder })
+}
+
+/// The file in which a EuRoC (ASL) folder, or one with a truth beside it, has its truth: `state_groundtruth_estimate0/data.csv` (in `mav0`, or here),
+/// `truth.tum`, or the first `gt*.txt`.
+pub fn truth_file(folder: &Path) -> Option<PathBuf> {
+    euroc::truth_file(folder)
 }
 
 fn decode(path: &Path) -> Result<image::DynamicImage, Error> {

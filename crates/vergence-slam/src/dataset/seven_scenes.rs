@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use vergence_geom::{Camera, Lens, Rigid};
 use vergence_time::Timestamp;
 
-use super::{Dataset, FrameFiles, check_there};
+use super::{Dataset, FrameFiles, Opening, check_there};
 use crate::Error;
 use crate::trajectory::{Trajectory, read_text};
 
@@ -55,7 +55,18 @@ pub(super) fn open(folder: &Path) -> Result<Dataset, Error> {
         return Err(Error::file(folder, "frames (frame-000000.color.jpg …)", "none"));
     }
     let truth = Some(Trajectory { poses });
-    Ok(Dataset { root: folder.to_owned(), cameras, inertial: None, frames, truth, unpaired: 0 })
+    let pictures = vec![frames.len()];
+    let pair_within = Opening::default().pair_within;
+    Ok(Dataset {
+        root: folder.to_owned(),
+        cameras,
+        inertial: None,
+        frames,
+        truth,
+        pictures,
+        pair_within,
+        apart: None,
+    })
 }
 
 fn matrix<const N: usize>(path: &Path) -> Result<[f64; N], Error> {

@@ -13,6 +13,7 @@ use vergence_inertial::Recording;
 use vergence_log::foreign::{Cells, ORDER, Table, TimeUnit, Xdf};
 use vergence_log::{Compressed, Row, Stream, StreamDesc, Times};
 use vergence_sense::{Button, Imu, Pose, Tracking};
+use vergence_slam::dataset::truth_file;
 use vergence_slam::trajectory::Trajectory;
 use vergence_time::{Span, Timestamp};
 
@@ -162,11 +163,14 @@ pub fn euroc(path: &Path, world: World, gathered: &mut Gathered) -> Result<(), F
         gathered.items.extend(recording.samples.iter().map(item));
     }
     // Leica's leica0 has positions only, which are no poses.
-    for truth in TRUTHS {
-        let table = rig.join(truth).join("data.csv");
-        if table.is_file() {
-            poses(&trajectory(&table)?, &format!("/{truth}"), world, gathered);
-        }
+    let tables = TRUTHS.map(|truth| (truth, rig.join(truth).join("data.csv")));
+    let there: Vec<_> = tables.iter().filter(|(_, table)| table.is_file()).collect();
+    for (truth, table) in &there {
+        poses(&trajectory(table)?, &format!("/{truth}"), world, gathered);
+    }
+    // Recordings that are made with other tools have it beside, as `slam eval` takes it.
+    if let Some(beside) = truth_file(path).filter(|_| there.is_empty()) {
+        poses(&trajectory(&beside)?, "/truth", world, gathered);
     }
     for camera in (0..8).map(|index| format!("cam{index}")) {
         let table = rig.join(&camera).join("data.csv");

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use vergence_slam::Params;
+use vergence_slam::dataset::{MOST_APART, Opening};
+use vergence_time::Span;
 use vergence_vision::TrackerKnobs;
 
 use crate::failure::Failure;
@@ -35,8 +37,8 @@ pub struct Config {
     pub iterations: Option<usize>,
     /// Share of known points below which a frame becomes a keyframe.
     pub known_share: Option<f64>,
-    /// Frames between two keyframes at least.
-    pub keyframe_gap: Option<usize>,
+    /// Time between two keyframes at least, s.
+    pub keyframe_gap_s: Option<f64>,
     /// Frames that are all kept at the start.
     pub first_frames: Option<usize>,
     /// Most points that take part.
@@ -53,6 +55,8 @@ pub struct Config {
     pub gyr_range_rad_s: Option<f64>,
     /// Whether cameras that are turned against what they see end the run.
     pub check_mounting: Option<bool>,
+    /// Pictures of different cameras that are not farther apart are of one instant, ms.
+    pub pair_within_ms: Option<f64>,
 }
 
 impl Config {
@@ -93,7 +97,7 @@ impl Config {
             ),
             ("states", params.states.to_string(), "latest frames that are kept whole"),
             ("keyframes", params.keyframes.to_string(), "drift falls with it, time grows with its square"),
-            ("keyframe_gap", params.keyframe_gap.to_string(), "frames between two keyframes at least"),
+            ("keyframe_gap_s", params.keyframe_gap_s.to_string(), "time between two keyframes at least"),
             (
                 "known_share",
                 params.known_share.to_string(),
@@ -111,6 +115,11 @@ impl Config {
                 params.check_mounting.to_string(),
                 "false: cameras that seem turned do not end the run",
             ),
+            (
+                "pair_within_ms",
+                Opening::default().pair_within.as_millis_f64().to_string(),
+                "pictures of two cameras that are no farther apart are of one instant, 0 to 100",
+            ),
         ];
         let lines = lines.map(|(key, value, what)| format!("  {:24} # {what}\n", format!("{key} = {value}")));
         format!(
@@ -124,6 +133,13 @@ impl Config {
         if let Some((unit, range)) = unit.zip(self.gyr_range_rad_s) {
             unit.gyr_range_rad_s = range;
         }
+    }
+
+    /// Pictures that are no farther apart are of one instant.
+    pub fn pair_within(&self) -> Result<Span, Failure> {
+        let Some(millis) = self.pair_within_ms else { return Ok(Opening::default().pair_within) };
+        let span = Span::from_secs_f64(millis * 1e-3).filter(|span| (Span::ZERO..=MOST_APART).contains(span));
+        span.ok_or_else(|| Failure::Call(format!("pair_within_ms: expected 0 to 100, found {millis}")))
     }
 
     /// The tracker's and the estimator's knobs.
@@ -142,7 +158,7 @@ impl Config {
         params.pixel_px = self.pixel_px.unwrap_or(params.pixel_px);
         params.noise_factor = self.noise_factor.unwrap_or(params.noise_factor);
         params.known_share = self.known_share.unwrap_or(params.known_share);
-        set(&mut params.keyframe_gap, self.keyframe_gap);
+        params.keyframe_gap_s = self.keyframe_gap_s.unwrap_or(params.keyframe_gap_s);
         set(&mut params.first_frames, self.first_frames);
         set(&mut params.points, self.points);
         params.huber = self.huber.unwrap_or(params.huber);

@@ -2,6 +2,7 @@
 
 mod eval;
 pub mod knobs;
+mod poses;
 pub mod run;
 
 use crate::failure::Failure;

@@ -1,6 +1,5 @@
 //! `vergence slam run`: follows a recording and writes where the rig was.
 
-use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
@@ -9,11 +8,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use vergence_session::RigLog;
-use vergence_slam::dataset::{Calibration, Dataset};
+use vergence_slam::dataset::{Calibration, Dataset, Opening, holes, say_holes};
 use vergence_slam::follower::Follower;
 use vergence_slam::playback::{Mode, Playback, z_up};
 use vergence_slam::trajectory::Trajectory;
-use vergence_slam::{Estimate, State};
+use vergence_slam::{Estimate, State, states};
 use vergence_time::Timestamp;
 
 use crate::devices::interrupted;
@@ -44,7 +43,7 @@ pub struct Args {
     #[arg(short, long, value_name = "TRAJ.tum")]
     output: PathBuf,
     /// How far each pose can be trusted (CSV): time, state, standard deviations of position and rotation since the start, points seen,
-    /// points thrown away, keyframe
+    /// points thrown away, keyframe, map (another one after it was lost), what is left over in pixels; `slam eval --states` takes it
     #[arg(long, value_name = "F.csv")]
     states: Option<PathBuf>,
     /// Prints one JSON object
@@ -98,18 +97,6 @@ impl Outcome {
         Trajectory { poses }
     }
 
-    /// A line for each frame.
-    fn states(&self) -> String {
-        let mut table =
-            "#time_ns,state,position_sigma_m,rotation_sigma_rad,seen,thrown_away,keyframe\n".to_owned();
-        for e in &self.estimates {
-            let (at, state, sigma) = (e.time.as_nanos(), e.state, e.position_sigma_m);
-            let (turn, key) = (e.rotation_sigma_rad, u8::from(e.keyframe));
-            let _ = writeln!(table, "{at},{state:?},{sigma:.6},{turn:.6},{},{},{key}", e.known, e.outliers);
-        }
-        table
-    }
-
     /// What a user should know before believing the poses.
     fn doubts(&self) -> Vec<String> {
         let frames = self.estimates.len();
@@ -124,10 +111,26 @@ impl Outcome {
         if blind * 2 > frames {
             all.push(say(blind, State::FindingCorners));
         }
+        if let Some(maps) = self.estimates.last().map(|last| last.map).filter(|maps| *maps > 0) {
+            let first = self.estimates.iter().find(|estimate| estimate.map > 0);
+            let begins = self.estimates.first().zip(first).and_then(|(a, b)| b.time.since(a.time));
+            all.push(format!(
+                "{maps} new map{} begun after it was lost, the first after {:.3} s: where it lies beside the one before is a guess",
+                if maps == 1 { " was" } else { "s were" },
+                begins.map_or(0.0, |span| span.as_secs_f64())
+            ));
+        }
         all
     }
 
-    fn count(&self, is: impl Fn(State) -> bool) -> usize {
+    /// How many frames have each state, by its word; of those that any has.
+    fn by_state(&self) -> serde_json::Map<String, serde_json::Value> {
+        let counted = State::ALL.into_iter().map(|state| (state.word(), self.count(|other| other == state)));
+        counted.filter(|(_, count)| *count > 0).map(|(word, count)| (word.to_owned(), count.into())).collect()
+    }
+
+    /// How many frames have such a state.
+    pub fn count(&self, is: impl Fn(State) -> bool) -> usize {
         self.estimates.iter().filter(|e| is(e.state)).count()
     }
 
@@ -188,18 +191,19 @@ pub fn play(
     Ok(outcome)
 }
 
-/// Plays a log to its end; says how many frames it had.
+/// Plays a log to its end; says how many frames it had, and what is to be said of it.
 fn play_log(
     log: &RigLog,
     mode: Mode,
     config: &Config,
     bar: &ProgressBar,
     stop: &AtomicBool,
-) -> Result<(Outcome, u64), Failure> {
+) -> Result<(Outcome, u64, Vec<String>), Failure> {
     let (knobs, params) = config.resolve()?;
     let reduce = config.reduce.unwrap_or(1);
     let follower = Follower::new(log.path(), &log.rig, mode, knobs, params, reduce)
-        .map_err(|error| Failure::call(&error))?;
+        .map_err(|error| Failure::call(&error))?
+        .pairing_within(config.pair_within()?);
     let mut outcome = Outcome { estimates: Vec::new(), cpu_ms: Vec::new() };
     let follower = log
         .follow(follower, |follower| {
@@ -213,46 +217,18 @@ fn play_log(
         })
         .map_err(|error| Failure::work(&error))?;
     let frames = outcome.estimates.len() as u64 + follower.incomplete();
-    Ok((outcome, frames))
-}
-
-/// What of a recording takes no part, and where it has holes.
-fn left_out(dataset: &Dataset, mode: Mode) -> Vec<String> {
-    const READINGS_S: f64 = 0.1;
-    let mut all = Vec::new();
-    if dataset.unpaired > 0 && mode.stereo() {
-        all.push(format!(
-            "{} pictures have no partner within 1 ms in another camera: left out",
-            dataset.unpaired
+    let mut doubts = Vec::new();
+    if follower.incomplete() > 0 {
+        doubts.push(format!(
+            "{} of {frames} instants lack a picture of a camera within {} ms: left out",
+            follower.incomplete(),
+            config.pair_within()?.as_millis_f64()
         ));
     }
-    let mut holes = |what: &str, times: &mut dyn Iterator<Item = Timestamp>, longest_s: f64| {
-        let Some(first) = times.next() else { return };
-        let (mut before, mut found, mut longest) = (first, 0, (0.0, first));
-        for time in times {
-            let gap = time.since(before).map_or(0.0, |span| span.as_secs_f64());
-            if gap > longest_s {
-                found += 1;
-                longest = if gap > longest.0 { (gap, before) } else { longest };
-            }
-            before = time;
-        }
-        if found > 0 {
-            let after = longest.1.since(first).map_or(0.0, |span| span.as_secs_f64());
-            all.push(format!(
-                "{what}: {found} gaps, the longest of {:.2} s, {after:.2} s after the first",
-                longest.0
-            ));
-        }
-    };
-    let frames = dataset.frames.len().saturating_sub(1).max(1) as f64;
-    let span = dataset.frames.first().zip(dataset.frames.last()).and_then(|(a, b)| b.at.since(a.at));
-    let period = span.map_or(0.0, |span| span.as_secs_f64()) / frames;
-    holes("pictures", &mut dataset.frames.iter().map(|frame| frame.at), (5.0 * period).max(READINGS_S));
-    if let Some(inertial) = dataset.inertial.as_ref().filter(|_| mode.inertial()) {
-        holes("readings", &mut inertial.samples.iter().map(|sample| sample.0), READINGS_S);
-    }
-    all
+    let begins = outcome.estimates.first().map_or(Timestamp::default(), |estimate| estimate.time);
+    let times = outcome.estimates.iter().map(|estimate| estimate.time);
+    doubts.extend(say_holes("pictures", &holes(times), begins));
+    Ok((outcome, frames, doubts))
 }
 
 /// Largest memory of this process so far, MB; 0 where the system does not say.
@@ -328,25 +304,28 @@ impl Args {
             let bar = bar(None);
             let played = play_log(&log, mode, &config, &bar, &stop)?;
             bar.finish_and_clear();
-            played
+            let (outcome, frames, doubts) = played;
+            warnings.extend(doubts);
+            (outcome, frames)
         } else {
             let calibration = Some(&self.calibration).filter(|files| !files.is_empty());
             let calibration = calibration.map(|files| Calibration::kalibr(files)).transpose();
             let calibration = calibration.map_err(|error| Failure::work(&error))?;
-            let dataset = Dataset::open_as(&self.dataset, calibration.as_ref());
+            let opening = Opening { calibration: calibration.as_ref(), pair_within: config.pair_within()? };
+            let dataset = Dataset::open_as(&self.dataset, &opening);
             let mut dataset = dataset.map_err(|error| Failure::work(&error))?;
             config.apply(dataset.inertial.as_mut().map(|recording| &mut recording.unit));
-            warnings.extend(left_out(&dataset, mode));
+            warnings.extend(dataset.doubts(mode.inertial()));
             let bar = bar(Some(dataset.frames.len() as u64));
             let outcome = play(&dataset, mode, &config, self.threads, &bar, &stop)?;
             bar.finish_and_clear();
-            (outcome, dataset.frames.len() as u64)
+            (outcome, dataset.pictures[0] as u64)
         };
         let failed = |path: &Path, error: std::io::Error| Failure::unwritable(path, &error);
         outcome.trajectory().write_tum(&mut poses).map_err(|error| failed(&self.output, error))?;
         poses.flush().map_err(|error| failed(&self.output, error))?;
         if let Some((file, path)) = states.as_mut().zip(self.states.as_deref()) {
-            file.write_all(outcome.states().as_bytes()).map_err(|error| failed(path, error))?;
+            states::write(&outcome.estimates, BufWriter::new(file)).map_err(|error| failed(path, error))?;
         }
         if stop.load(Ordering::Relaxed) {
             warnings.push(format!("ended after {} of {frames} frames, as asked", outcome.estimates.len()));
@@ -371,7 +350,10 @@ impl Args {
                 "cpu_ms_per_frame": { "median": median, "p95": p95 },
                 "peak_rss_mb": peak_rss_mb(),
                 "disagreeing_frames": outcome.count(|s| s == State::Disagreeing),
-                "state": last.says(),
+                "frames_by_state": outcome.by_state(),
+                "maps": outcome.estimates.last().map_or(0, |estimate| estimate.map + 1),
+                "state": last.word(),
+                "says": last.says(),
                 "warnings": warnings,
             });
             println!("{object}");

@@ -5,6 +5,8 @@ use std::sync::atomic::Ordering;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use vergence_report::Page;
+use vergence_session::RigLog;
+use vergence_slam::State;
 use vergence_slam::dataset::Dataset;
 use vergence_slam::evaluate::{Align, evaluate};
 use vergence_trade::{Knob, Limit, Measurement, Scale, Setting, Trade, Value};
@@ -41,6 +43,11 @@ pub struct SlamTrade {
     #[arg(long)]
     json: bool,
 }
+
+/// ATE that differs by less than this share is the same: corners found a pixel aside change it by as much.
+const NOISE: f64 = 0.1;
+/// Fewer frames than this say little.
+const FEW: usize = 200;
 
 /// What is turned: name, unit, positions (the default among them), where it stands in a file of knobs.
 struct Turned {
@@ -92,6 +99,12 @@ impl SlamTrade {
         let folder = self.dataset.clone().or(usual).ok_or_else(|| {
             Failure::Call("expected a recording or the variable VERGENCE_DATA, found neither".to_owned())
         })?;
+        if RigLog::is_log(&folder) {
+            let name = folder.display();
+            return Err(Failure::Call(format!(
+                "{name}: expected a recording's folder with a truth, found a log; `log export euroc` makes one of it"
+            )));
+        }
         let mut dataset = Dataset::open(&folder).map_err(|error| Failure::work(&error))?;
         dataset.frames.truncate(self.frames);
         let Some(truth) = dataset.truth.take() else {
@@ -111,26 +124,44 @@ impl SlamTrade {
             vec![Scale::new("median CPU time per frame", "ms"), Scale::new("p95", "ms")],
             vec![Scale::new("ATE", "m"), Scale::new("RPE over 1 s", "m")],
         )
-        .map_err(|error| Failure::work(&error))?;
+        .map_err(|error| Failure::work(&error))?
+        .with_error_noise(NOISE);
+        let mut warnings = Vec::new();
+        if dataset.frames.len() < FEW {
+            warnings.push(format!(
+                "{} frames: errors of so few say little of other flights; {FEW} or more are better",
+                dataset.frames.len()
+            ));
+        }
         let plan = plan(self.quick);
         let stop = interrupted()?;
         let bar = ProgressBar::new((plan.len() * dataset.frames.len()) as u64);
         if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta}") {
             bar.set_style(style);
         }
+        let mut untracked = 0;
         for setting in &plan {
             let outcome = play(&dataset, mode, &config(setting), 2, &bar, &stop)?;
             if stop.load(Ordering::Relaxed) {
                 break;
             }
             let found = evaluate(&outcome.trajectory(), &truth, align).map_err(|e| Failure::work(&e))?;
+            let tracked = outcome.count(|state| state == State::Tracked);
+            let is_tracked = tracked * 2 >= outcome.estimates.len();
+            if !is_tracked {
+                untracked += 1;
+            }
             let names = KNOBS.iter().map(|k| k.name.to_owned());
             let values = setting.iter().map(|p| Value::Count(*p as u32));
             trade
                 .push(Measurement {
                     setting: Setting(names.zip(values).collect()),
                     costs: vec![outcome.quantile_ms(0.5), outcome.quantile_ms(0.95)],
-                    errors: vec![found.ate_rmse_m, found.rpe_1s.map_or(f64::NAN, |r| r.rmse_m)],
+                    // Of poses that say themselves that they are not to be trusted, the error means nothing.
+                    errors: vec![
+                        if is_tracked { found.ate_rmse_m } else { f64::NAN },
+                        found.rpe_1s.filter(|_| is_tracked).map_or(f64::NAN, |r| r.rmse_m),
+                    ],
                 })
                 .map_err(|error| Failure::work(&error))?;
         }
@@ -142,20 +173,38 @@ impl SlamTrade {
                 return Ok(());
             }
         }
+        if untracked > 0 {
+            let done = trade.measurements().len();
+            let said = format!("in {untracked} of {done} settings less than half of the frames are tracked");
+            if untracked == done {
+                return Err(Failure::Work(format!("{}: {said}; see `slam run`", folder.display())));
+            }
+            warnings.push(format!("{said}: they have no error, and are not chosen"));
+        }
+        for warning in &warnings {
+            eprintln!("vergence: {warning}");
+        }
         let limit = self.budget.map(Limit::Cost).or(self.error.map(Limit::Error));
         let choice = limit.map(|limit| trade.choose(0, 0, limit)).transpose();
         let chosen = choice.as_ref().ok().copied().flatten();
-        self.write(&trade, chosen.map(|index| (index, config(&plan[index]))), dataset.frames.len())?;
-        self.print(&trade, chosen);
+        let frames = dataset.frames.len();
+        self.write(&trade, chosen.map(|index| (index, config(&plan[index]))), frames, &warnings)?;
+        self.print(&trade, chosen, &warnings);
         choice.map(|_| ()).map_err(|error| Failure::work(&error))
     }
 
-    fn json(trade: &Trade, chosen: Option<usize>) -> serde_json::Value {
+    fn json(trade: &Trade, chosen: Option<usize>, warnings: &[String]) -> serde_json::Value {
         let chosen = chosen.map(|index| &trade.measurements()[index]);
-        serde_json::json!({ "trade": trade, "front": trade.pareto(0, 0), "chosen": chosen })
+        serde_json::json!({ "trade": trade, "front": trade.pareto(0, 0), "chosen": chosen, "warnings": warnings })
     }
 
-    fn write(&self, trade: &Trade, chosen: Option<(usize, Config)>, frames: usize) -> Result<(), Failure> {
+    fn write(
+        &self,
+        trade: &Trade,
+        chosen: Option<(usize, Config)>,
+        frames: usize,
+        warnings: &[String],
+    ) -> Result<(), Failure> {
         let save = |name: &str, text: &str| {
             let path = self.output.join(name);
             std::fs::write(&path, text).map_err(|e| Failure::unwritable(&path, &e))
@@ -166,13 +215,15 @@ impl SlamTrade {
         let page = Page::new("What odometry costs")
             .paragraph(&format!(
                 "{frames} frames; CPU time of one thread per frame without decoding; position error after alignment. Each knob is \
-                 turned alone, then all of them towards speed."
+                 turned alone, then all of them towards speed. Errors that differ by less than a tenth are taken as equal. {}",
+                warnings.join(". ")
             ))
             .plot(&plot)
             .map_err(|e| Failure::work(&e))?
             .table(&trade.table(0, 0));
         save("trade.html", &page.to_html())?;
-        let json = serde_json::to_string_pretty(&Self::json(trade, index)).map_err(|e| Failure::work(&e))?;
+        let json = serde_json::to_string_pretty(&Self::json(trade, index, warnings))
+            .map_err(|e| Failure::work(&e))?;
         save("trade.json", &json)?;
         if let Some((_, config)) = chosen {
             save("slam.toml", &toml::to_string(&config).map_err(|e| Failure::work(&e))?)?;
@@ -180,12 +231,15 @@ impl SlamTrade {
         Ok(())
     }
 
-    fn print(&self, trade: &Trade, chosen: Option<usize>) {
+    fn print(&self, trade: &Trade, chosen: Option<usize>, warnings: &[String]) {
         if self.json {
-            println!("{}", Self::json(trade, chosen));
+            println!("{}", Self::json(trade, chosen, warnings));
             return;
         }
-        println!("* is on the Pareto front of time and ATE\n{}", trade.table(0, 0).to_text());
+        println!(
+            "* is on the Pareto front of time and ATE (steps of a tenth or more)\n{}",
+            trade.table(0, 0).to_text()
+        );
         if let Some(index) = chosen {
             let m = &trade.measurements()[index];
             println!("chosen: {} ({:.1} ms, {:.4} m)", m.setting, m.costs[0], m.errors[0]);
