@@ -299,6 +299,28 @@ fn a_session_that_is_lost_costs_no_trial() {
     assert_eq!((&ran["finished"], ran["trials"].as_u64()), (&true.into(), Some(20 - before)), "{ran}");
 }
 
+/// While it is off nobody points; the movement that was under way is made again, and nothing that was finished is.
+#[test]
+fn a_headset_that_is_taken_off_costs_no_trial() {
+    let Some(dir) = prepared() else { return };
+    let here = dir.path();
+    let ran = done(here, &run_of(&["--no-pictures", "--away", "7-11"]));
+    assert_eq!((&ran["finished"], &ran["done"]), (&true.into(), &20.into()), "{ran}");
+    assert!(ran["interrupted"].as_u64() == Some(1), "{ran}");
+    let status = status_of(here);
+    assert_eq!(status["participants"][0]["trials"].as_u64(), Some(20), "{status}");
+    assert!(status["findings"].to_string().contains("made again"), "{status}");
+    // Nobody's time goes on while the headset lies on the table.
+    let (trials, again) = written(here);
+    assert_eq!((trials, again), (20, 1));
+    // Until the end of a session that somebody else ends: what was done is kept.
+    done(here, &["study", "delete", "study.data", "--participant", "P01"]);
+    let part = done(here, &run_of(&["--no-pictures", "--away", "7-11", "--most-trials", "12"]));
+    let ran = done(here, &run_of(&["--no-pictures", "--resume"]));
+    let trials = |ran: &Value| ran["trials"].as_u64().expect("trials");
+    assert_eq!((trials(&part), trials(&ran), &ran["finished"]), (12, 8, &true.into()), "{ran}");
+}
+
 /// The study goes on without the recording of its session, and a script that asked for one learns that there is none.
 #[test]
 fn a_recording_that_is_not_whole_is_exit_status_1() {

@@ -10,6 +10,7 @@ use vergence_session::{
     Guest, Happening, HeadsetChoice, Moment, PoseProvider, RunConfig, RunReport, Stage, run_with,
 };
 use vergence_study::{Geometry, Plane, Point, Study, Trigger};
+use vergence_time::Timestamp;
 
 use crate::conduct::{Conduct, Ended};
 use crate::course::{Reading, Step};
@@ -32,6 +33,8 @@ pub struct InHeadset {
     pub input: Input,
     /// On the simulated headset: the runtime asks for pictures. Without, nothing is drawn, and everything else happens.
     pub pictures: bool,
+    /// On the simulated headset: from when to when its wearer takes it off, session time.
+    pub away: Option<(Timestamp, Timestamp)>,
     /// Stops after so many trials.
     pub most_trials: Option<u64>,
 }
@@ -84,7 +87,7 @@ pub fn in_headset(
     let wearer = match how.input {
         Input::Simulated(seed) => {
             let actor = Actor::new(&study, conduct.participant(), seed, false)?;
-            Some(Wearer::new(actor, &study, how.pictures))
+            Some(Wearer::new(actor, &study, how.pictures, how.away))
         }
         _ => None,
     };

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use vergence_geom::Rigid;
 use vergence_sense::Hand;
-use vergence_session::{Controller, PoseProvider, Tracked};
+use vergence_session::{Controller, PoseProvider, Presence, Tracked};
 use vergence_sim::person::{Geometry as Reach, Params, Person, Selection, Target as Seen};
 use vergence_study::{Geometry, Instruction, Study, Trigger};
 use vergence_time::{Span, Timestamp};
@@ -199,12 +199,18 @@ struct Worn {
     /// The instant for which the head was asked for last, on the motion's clock.
     asked: Timestamp,
     pictures: bool,
+    away: Option<(Timestamp, Timestamp)>,
 }
 
 impl Wearer {
-    pub(crate) fn new(actor: Actor, study: &Study, pictures: bool) -> Self {
+    pub(crate) fn new(
+        actor: Actor,
+        study: &Study,
+        pictures: bool,
+        away: Option<(Timestamp, Timestamp)>,
+    ) -> Self {
         let is_ray = matches!(study.geometry, Geometry::Ray { .. });
-        let worn = Worn { actor, is_ray, stage_from_task: None, asked: Timestamp::default(), pictures };
+        let worn = Worn { actor, is_ray, stage_from_task: None, asked: Timestamp::default(), pictures, away };
         Self(Arc::new(Mutex::new(worn)))
     }
 
@@ -254,6 +260,11 @@ impl PoseProvider for Wearer {
             let trigger = if pressed { 1.0 } else { 0.0 };
             Controller { trigger, ..Controller::idle(Tracked::Seen(aim), Tracked::Seen(aim)) }
         })
+    }
+
+    fn presence(&self, at: Timestamp) -> Presence {
+        let is_away = self.with(|worn| worn.away.is_some_and(|(from, to)| from <= at && at < to));
+        if is_away { Presence::Away } else { Presence::Focused }
     }
 
     fn renders(&self, _at: Timestamp) -> bool {

@@ -48,5 +48,5 @@ pub use report::{Milliseconds, OdometryReport, PassReport, RecordReport, RunRepo
 pub use rig_log::{RIG, RigLog, annotate_rig};
 pub use run::{Happening, run, run_with};
 pub use stop::Stop;
-pub use vergence_xr_sim::{Control, Controller, Fault, FaultPlan, PoseProvider, Tracked};
+pub use vergence_xr_sim::{Control, Controller, Fault, FaultPlan, PoseProvider, Presence, Tracked};
 pub use verify::Comparison;

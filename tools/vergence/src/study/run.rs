@@ -14,6 +14,7 @@ use vergence_session::{
     RunReport,
 };
 use vergence_study::{Conventions, Study};
+use vergence_time::Timestamp;
 
 use crate::failure::Failure;
 use crate::run::stop_on_signals;
@@ -64,6 +65,9 @@ pub struct Run {
     /// Simulated headset: what its runtime does wrong, as in xrWaitFrame=ERROR_SESSION_LOST@100, also @100-120 or @100+
     #[arg(long, value_name = "FUNCTION=CODE[@CALL]")]
     fault: Vec<String>,
+    /// Simulated headset: its wearer takes it off and puts it on again, seconds of the session, as in 4-6.5
+    #[arg(long, value_name = "FROM-TO", value_parser = away)]
+    away: Option<(Timestamp, Timestamp)>,
     /// Headset: the display's rate [default: 90 on the simulated headset, else as it is]
     #[arg(long, value_name = "HZ")]
     refresh_rate: Option<f32>,
@@ -97,6 +101,18 @@ enum Headset {
     Desktop,
 }
 
+/// `4-6.5`.
+fn away(text: &str) -> Result<(Timestamp, Timestamp), String> {
+    let wrong = || format!("expected seconds from and to, as in 4-6.5, found {text:?}");
+    let (from, to) = text.split_once('-').ok_or_else(wrong)?;
+    let instant = |text: &str| -> Result<Timestamp, String> {
+        let seconds = text.trim().parse::<f64>().ok().filter(|s| (0.0..1e6).contains(s)).ok_or_else(wrong)?;
+        Ok(Timestamp::from_nanos((seconds * 1e9) as i64))
+    };
+    let (from, to) = (instant(from)?, instant(to)?);
+    if from < to { Ok((from, to)) } else { Err(wrong()) }
+}
+
 pub(super) fn failed(error: &Error) -> Failure {
     if error.is_wrong_call() { Failure::call(error) } else { Failure::work(error) }
 }
@@ -117,6 +133,7 @@ impl Run {
             run: self.config()?,
             input: input.clone(),
             pictures: !self.no_pictures,
+            away: self.away,
             most_trials: self.most_trials,
         };
         let desktop = OnDesktop {
