@@ -522,3 +522,45 @@ fn an_imported_recording_is_of_the_same_unit_and_has_its_truth() {
         assert_eq!(by_text, by_log);
     }
 }
+
+#[test]
+fn readings_in_another_unit_are_warned_of_and_slow_sensors_are_not() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let folder = folder.path();
+    let warned = |name: &str, change: &dyn Fn(usize, &mut Vec<String>)| -> String {
+        let rows = text();
+        let changed = rows.lines().enumerate().map(|(row, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if row > 0 {
+                change(row, &mut cells);
+            }
+            cells.join(",") + "\n"
+        });
+        std::fs::write(folder.join(name), changed.collect::<String>()).expect("a file");
+        let told = object(&imu(&["run", name, "--json", "-o", "o.csv"], folder));
+        told["warnings"].to_string()
+    };
+    let scaled = |cells: &mut Vec<String>, from: usize, by: f64| {
+        for cell in &mut cells[from..from + 3] {
+            *cell = format!("{:?}", cell.parse::<f64>().expect("a number") * by);
+        }
+    };
+    // Raw counts of 16 bits, of which one in fifty happens to look well.
+    let counts = warned("counts.csv", &|row, cells| {
+        if row % 50 != 0 {
+            scaled(cells, 4, 16384.0);
+        }
+    });
+    assert!(
+        counts.contains("found acc_wrong in 4900 of 5000 readings, their median length is 160727"),
+        "{counts}"
+    );
+    let zeros = warned("zeros.csv", &|_, cells| scaled(cells, 4, 0.0));
+    assert!(zeros.contains("found acc_zero in 5000 of 5000 readings"), "{zeros}");
+    let slow = warned("slow.csv", &|row, cells| {
+        if row % 4 != 0 {
+            cells[4..10].iter_mut().for_each(String::clear);
+        }
+    });
+    assert_eq!(slow, "[]");
+}

@@ -50,6 +50,13 @@ fn each_fault_is_named_with_its_place() {
             "in.csv:10:1: expected a median rate of 5 to 50000 Hz, found 0.286 Hz",
         ),
         (format!("{HEADER}{}", rows(9, 1e-6)), "found 1000000.000 Hz"),
+        (
+            // Eight stamps each 28 ms, as a radio delivers them.
+            (0..80)
+                .map(|i| format!("{},0,0,0,0,0,9.81\n", f64::from(i / 8) * 0.028 + f64::from(i % 8) * 1e-5))
+                .fold(HEADER.to_owned(), |text, row| text + &row),
+            "found batches: most samples are 0.0100 ms after the one before, 313.4 come in a second",
+        ),
         (format!("{HEADER}{}", "1".repeat(9000)), "in.csv:2:1: expected a line of at most 4096 bytes"),
         ("#timestamp [ns],w_RS_S_x,w\n".to_owned(), "in.csv:1:3: expected 'w_RS_S_y', found 'w'"),
     ] {
@@ -78,6 +85,20 @@ fn tables_of_other_makers_are_read() {
     ));
     assert_eq!(found.samples[1].0.as_nanos(), 1_403_715_281_272_142_977);
     assert!(found.samples[1].1.mag_ut.unwrap().iter().all(|x| x.is_nan()) && found.ignored.is_empty());
+}
+
+#[test]
+fn a_swapped_pair_of_rows_costs_one_row() {
+    let mut lines: Vec<String> = rows(500, 0.01).lines().map(str::to_owned).collect();
+    lines.swap(200, 201);
+    let (_folder, path) = file("in.csv", format!("{HEADER}{}\n", lines.join("\n")).as_bytes());
+    let found = Recording::read(&path).unwrap();
+    assert_eq!((found.samples.len(), found.reversed), (499, 1));
+    assert!(found.samples.is_sorted_by(|a, b| a.0 < b.0));
+    // More than one in a hundred are another clock.
+    (0..6).for_each(|k| lines.swap(40 * k, 40 * k + 1));
+    let text = format!("{HEADER}{}\n", lines.join("\n"));
+    assert!(error(&text).contains("in.csv:3:1: expected a time after 0.01 s, found 0 s"), "{}", error(&text));
 }
 
 fn compressed() -> Vec<u8> {

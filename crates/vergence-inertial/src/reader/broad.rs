@@ -91,19 +91,33 @@ pub(super) fn read(table: &mut Table) -> Result<Recording, Error> {
     let movement = places(table, ["movement"])?;
     let mut values = Vec::new();
     let mut last = None;
+    let mut backwards = None;
     loop {
         let mut nanos = None;
         if !table.row(&mut values, |text| nanos = text.parse().ok().map(Timestamp::from_nanos))? {
-            return Ok(recording);
+            // A pair that was swapped on its way is no reason to refuse all others; a clock that was set is.
+            let few = recording.reversed * 100 <= recording.samples.len() as u64;
+            return match backwards.filter(|_| !few) {
+                Some(error) => Err(error),
+                None => Ok(recording),
+            };
         }
         // Nanoseconds since 1970 have more digits than a float.
         let at = match nanos.filter(|_| time == 0 && seconds == 1e-9) {
             Some(at) => at,
             None => instant(table, values[time] * seconds, time + 1)?,
         };
-        if !is_later(table, at, time + 1, last)? {
-            recording.repeated += 1;
-            continue;
+        match is_later(table, at, time + 1, last) {
+            Ok(true) => {}
+            Ok(false) => {
+                recording.repeated += 1;
+                continue;
+            }
+            Err(error) => {
+                recording.reversed += 1;
+                backwards.get_or_insert(error);
+                continue;
+            }
         }
         last = Some(at);
         let vector = |[x, y, z]: [usize; 3]| Vector3::new(values[x], values[y], values[z]);

@@ -30,6 +30,8 @@ pub struct Recording {
     pub ignored: Vec<String>,
     /// Rows that were left out, because their time was that of the row before.
     pub repeated: u64,
+    /// Rows that were left out, because their time was before that of a row above: at most one in a hundred.
+    pub reversed: u64,
 }
 
 /// What the cameras saw at one sample.
@@ -70,8 +72,8 @@ impl Recording {
     /// EuRoC's `imu0/data.csv` (or its folder, or one of the two around that: `mav0`, and what has it in it), each also compressed by gzip.
     ///
     /// # Errors
-    /// File, line and column of the first fault: missing columns, numbers that are none, time that goes back,
-    /// truncated compression, a rate outside of [`RATES_HZ`].
+    /// File, line and column of the first fault: missing columns, numbers that are none, time that goes back in more than one row of a hundred,
+    /// times of batches, truncated compression, a rate outside of [`RATES_HZ`].
     pub fn read(path: &Path) -> Result<Self, Error> {
         let mut table = Table::open(&table_of(path)?)?;
         let recording = if table.header().first().is_some_and(|name| name.starts_with("#timestamp")) {
@@ -85,6 +87,16 @@ impl Recording {
         };
         let rate_hz = 1.0 / period.as_secs_f64();
         if !(RATES_HZ.0..=RATES_HZ.1).contains(&rate_hz) {
+            let whole = recording.samples.last().and_then(|(last, _)| last.since(recording.samples[0].0));
+            let mean_hz = (recording.samples.len() - 1) as f64 / whole.map_or(f64::NAN, Span::as_secs_f64);
+            if rate_hz > RATES_HZ.1 && mean_hz <= RATES_HZ.1 / 10.0 {
+                let expected = "the times at which samples were taken (of the unit's own clock)";
+                let found = format!(
+                    "batches: most samples are {:.4} ms after the one before, {mean_hz:.1} come in a second",
+                    period.as_millis_f64()
+                );
+                return Err(table.content(last_line, 1, expected, found));
+            }
             let expected = format!("a median rate of {} to {} Hz", RATES_HZ.0, RATES_HZ.1);
             return Err(table.content(last_line, 1, &expected, format!("{rate_hz:.3} Hz")));
         }

@@ -1,5 +1,6 @@
 //! Where samples come from: a text recording, or a stream of a session's log; and what is set right in them before anything else.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -153,14 +154,22 @@ pub fn read(path: &Path, stream: Option<&str>) -> Result<Recording, Failure> {
         )));
     }
     let recording = Recording::read(place(path)).map_err(|error| Failure::work(&error))?;
-    let place = path.display();
     if !recording.ignored.is_empty() {
-        log::warn!("{place}: nothing is made of the columns {}", recording.ignored.join(", "));
+        log::warn!("{}: nothing is made of the columns {}", path.display(), recording.ignored.join(", "));
     }
-    if recording.repeated > 0 {
-        log::warn!("{place}: {} rows have the time of the row before: left out", recording.repeated);
-    }
+    warn_of_times(path, &recording);
     Ok(recording)
+}
+
+/// Says which samples were left out because of their times.
+fn warn_of_times(path: &Path, recording: &Recording) {
+    for (count, what) in
+        [(recording.repeated, "the same time as"), (recording.reversed, "an earlier time than")]
+    {
+        if count > 0 {
+            log::warn!("{}: {count} samples have {what} the one before: left out", path.display());
+        }
+    }
 }
 
 /// Whether a stream of a log holds the truth, as imports call it.
@@ -225,7 +234,11 @@ fn read_log(path: &Path, stream: Option<&str>) -> Result<Recording, Failure> {
             recording.unit = unit;
         }
         let sample = entry.decode::<Imu>().map_err(failed)?;
-        recording.samples.push((sample.captured, sample.value));
+        match recording.samples.last().map(|(last, _)| sample.captured.cmp(last)) {
+            Some(Ordering::Equal) => recording.repeated += 1,
+            Some(Ordering::Less) => recording.reversed += 1,
+            _ => recording.samples.push((sample.captured, sample.value)),
+        }
     }
     if recording.samples.len() < 2 {
         let names: Vec<&str> = reader.streams().map(|info| info.name.as_str()).collect();
@@ -237,6 +250,7 @@ fn read_log(path: &Path, stream: Option<&str>) -> Result<Recording, Failure> {
             names.join(", ")
         )));
     }
+    warn_of_times(path, &recording);
     // Truth that was recorded beside each sample is the recording's own, as in its table.
     let beside = |(at, _): &(Timestamp, Imu)| {
         let movement = movement.get(at).copied().unwrap_or(movement.is_empty());

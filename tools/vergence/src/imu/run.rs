@@ -1,11 +1,13 @@
 //! `vergence imu run`: a filter over a recording.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
+use nalgebra::Vector3;
 use serde_json::json;
-use vergence_inertial::Unit;
-use vergence_inertial::filter::{self, Axes, Kind};
+use vergence_inertial::filter::{self, Axes, Kind, Rejections};
+use vergence_inertial::{Recording, Unit};
+use vergence_sense::Imu;
 
 use super::{input, output};
 use crate::failure::Failure;
@@ -88,6 +90,51 @@ impl ValueEnum for Name {
     }
 }
 
+/// More than this share of a sensor's readings is not refused where the readings are in the right unit.
+const MOST_REFUSED: f64 = 0.05;
+
+/// Warns of sensors of which much is refused: where that is the rule, not the exception, the readings are in another unit. Readings that are
+/// missing (of a sensor that is slower than the gyroscope) are not refused.
+fn refused(recording: &Recording, rejections: Rejections, input: &Path) -> Vec<String> {
+    let lengths = |of: &dyn Fn(&Imu) -> Option<Vector3<f64>>| -> (Vec<f64>, u64) {
+        let read: Vec<f64> =
+            recording.samples.iter().filter_map(|(_, imu)| of(imu)).map(|v| v.norm()).collect();
+        let all = read.len();
+        let finite: Vec<f64> = read.into_iter().filter(|length| length.is_finite()).collect();
+        let missing = (all - finite.len()) as u64;
+        (finite, missing)
+    };
+    let mut warnings = Vec::new();
+    for (sensor, expected, of) in [
+        (
+            "gyr",
+            "rates in rad/s",
+            &(|imu: &Imu| Some(imu.gyr_rad_s)) as &dyn Fn(&Imu) -> Option<Vector3<f64>>,
+        ),
+        ("acc", "accelerations in m/s² (gravity is 9.8)", &|imu: &Imu| Some(imu.acc_m_s2)),
+        ("mag", "a field in µT", &|imu: &Imu| imu.mag_ut),
+    ] {
+        let (finite, missing) = lengths(of);
+        for (name, count) in rejections.occurred() {
+            let is_of_unit = name.starts_with(sensor) && !name.ends_with("not_finite");
+            // What is missing counts as wrong.
+            let count = if name.ends_with("wrong") { count.saturating_sub(missing) } else { count };
+            if !is_of_unit || count as f64 <= MOST_REFUSED * finite.len() as f64 {
+                continue;
+            }
+            let warning = format!(
+                "{}: expected {expected}, found {name} in {count} of {} readings, their median length is {:.4}",
+                input.display(),
+                finite.len(),
+                timing::median(&finite)
+            );
+            log::warn!("{warning}");
+            warnings.push(warning);
+        }
+    }
+    warnings
+}
+
 impl Args {
     /// Reads, filters, writes.
     pub fn run(self) -> Result<(), Failure> {
@@ -143,25 +190,7 @@ impl Args {
         let times = recording.samples.iter().map(|(at, _)| *at);
         output::write(out, times.zip(orientations))?;
         let (mut warnings, dip_deg) = input::checked_frames(&recording, input);
-        // Where it is the rule, not the exception, the readings are in another unit. Sensors that are slower than the gyroscope miss many
-        // samples, but not all.
-        let samples = recording.samples.len() as u64;
-        for (name, expected, most) in [
-            ("gyr_saturated", "rates in rad/s", samples / 20),
-            ("acc_wrong", "accelerations in m/s² (gravity is 9.8)", samples - 1),
-            ("acc_zero", "accelerations in m/s² (gravity is 9.8)", samples - 1),
-            ("mag_wrong", "a field in µT", samples - 1),
-        ] {
-            let found = filter.rejections().occurred().find(|(found, _)| *found == name);
-            if let Some((_, count)) = found.filter(|(_, count)| *count > most) {
-                let warning = format!(
-                    "{}: expected {expected}, found {name} in {count} of {samples} samples",
-                    input.display()
-                );
-                log::warn!("{warning}");
-                warnings.push(warning);
-            }
-        }
+        warnings.extend(refused(&recording, filter.rejections(), input));
         let rejected: serde_json::Map<String, serde_json::Value> =
             filter.rejections().occurred().map(|(name, count)| (name.to_owned(), json!(count))).collect();
         if self.json {

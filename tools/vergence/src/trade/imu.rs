@@ -289,7 +289,7 @@ impl ImuTrade {
         };
         let metric = self.metric as usize;
         let mut page = Page::new("What orientation costs").paragraph(&format!(
-            "{}; CPU time of one sample and one reading of the orientation, one thread, the fastest of all runs. Without a magnetometer the heading is aligned over the first second of movement.",
+            "{}; CPU time of one sample and one reading of the orientation, one thread, the fastest of all runs. Of each filter the default is named. Without a magnetometer the heading is aligned over the first second of movement.",
             if recordings == 1 { "One recording".to_owned() } else { format!("Mean of {recordings} recordings") }
         ));
         for (name, trade) in trades {
