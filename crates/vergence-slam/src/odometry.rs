@@ -10,6 +10,7 @@ use vergence_solve::{Normal, Options, minimise};
 use vergence_time::{Span, Timestamp};
 
 use crate::link::{Held, Link, Motion};
+use crate::one_camera::WAITING_STEPS;
 use crate::params::Params;
 use crate::shrink::{Leaving, Shrink};
 use crate::sighting::{Sighting, Way};
@@ -394,7 +395,11 @@ impl Odometry {
         let blind = self.window.points.is_empty() && !ready;
         if !(first || begins || blind) {
             let long = self.window.frames.len() > 2 * params.first_frames;
-            self.solve(if self.settled || long { params.iterations } else { 3 * params.iterations });
+            self.solve(match (self.settled, self.waits_for_scale()) {
+                (false, true) => params.iterations.min(WAITING_STEPS),
+                (false, false) if !long => 3 * params.iterations,
+                _ => params.iterations,
+            });
         }
         let (outliers, residual_px) = self.drop_outliers();
         if (keyframe || begins) && (ready || first) {

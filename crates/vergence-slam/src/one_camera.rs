@@ -29,6 +29,10 @@ const ROUGH: (f64, f64) = (0.1, 0.05);
 const SCALE: f64 = 0.008;
 const LONGEST_S: f64 = 10.0;
 const MOST_FRAMES: usize = 28;
+/// While one camera waits for its scale: so many frames, and once there are as many so many steps of the minimisation for each further one, which begins
+/// near its end. Time grows with the square of the one and with the other; 28 frames and 4 steps gave no better scale.
+const WAITING_FRAMES: usize = 18;
+pub(crate) const WAITING_STEPS: usize = 2;
 
 fn same(seen: &[Sighting], track: u64) -> Option<&Sighting> {
     seen.binary_search_by_key(&(track, 0), |s| (s.track, s.camera)).ok().map(|i| &seen[i])
@@ -78,9 +82,21 @@ impl Odometry {
         self.window.frames.iter().map(|f| (place(f) - place(first)).norm()).fold(0.0, f64::max)
     }
 
+    /// Frames that the window waits with at most; those of the start are among them.
+    fn most_frames(&self) -> usize {
+        let params = &self.window.params;
+        let most = if self.window.cameras.len() == 1 { WAITING_FRAMES } else { MOST_FRAMES };
+        most.max(params.first_frames + params.states)
+    }
+
+    /// Whether the window is full of frames of one camera that wait for the scale.
+    pub(crate) fn waits_for_scale(&self) -> bool {
+        self.window.cameras.len() == 1 && !self.settled && self.window.frames.len() >= self.most_frames()
+    }
+
     /// Where the window waits long, frames between others are let go that no point hangs on; their readings stay.
     pub(crate) fn thin(&mut self) {
-        while self.window.frames.len() > MOST_FRAMES && !self.window.points.is_empty() {
+        while self.window.frames.len() > self.most_frames() && !self.window.points.is_empty() {
             let window = &mut self.window;
             let hosts = |id: u64| window.points.iter().any(|p| p.host == id);
             let gap = |k: usize| {
