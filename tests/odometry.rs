@@ -362,6 +362,26 @@ fn states_say_which_poses_are_held_to_their_word() {
 }
 
 #[test]
+fn a_trade_of_what_was_never_tracked_is_refused() {
+    let Some(dataset) = beginning(20) else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let rig = folder.path().join("black");
+    let mut writer = Writer::create(&rig, &dataset.rig(), 20.0).expect("a folder");
+    for frame in &dataset.frames {
+        for camera in 0..2 {
+            writer.picture(camera, frame.at, &[0; 752 * 480]).expect("written");
+        }
+    }
+    let readings = &dataset.inertial.as_ref().expect("a unit").samples;
+    writer.finish(readings, dataset.truth.as_ref().expect("a truth")).expect("written");
+    let out = folder.path().join("trade");
+    let refused = tool(&["trade", "slam", text(&rig), "-o", text(&out), "--quick", "--json"]);
+    let sentence = "settings less than half of the frames are tracked";
+    assert!(refused.status.code() == Some(1) && told(&refused).contains(sentence), "{}", told(&refused));
+    assert!(!out.join("slam.toml").exists());
+}
+
+#[test]
 fn an_end_keeps_what_was_done() {
     let Some(dataset) = beginning(1) else { return };
     let whole = dataset.root.clone();
