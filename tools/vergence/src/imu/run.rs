@@ -22,7 +22,7 @@ use crate::timing;
 ///
 /// How gravity and the field turn in the recording tells whether the three fit together: where they do not, and another order or other signs
 /// of the axes (or degrees for radians) clearly explain it, that is warned of with what would mend it. Turning does not tell: the sign of all
-/// three axes of the accelerometer or of the magnetometer together (it goes as the dip of the field that is printed: negative is right
+/// three axes of the accelerometer or of the magnetometer together (it goes as the dip of the field that is printed: above the horizon is right
 /// south of the magnetic equator, and wrong north of it), and whether the gyroscope has its signs turned or all three sensors are left-handed.
 ///
 /// How late readings are is a property of the unit that they do not tell. A table of BROAD's style is taken for one of BROAD's unit,
@@ -212,12 +212,14 @@ impl Args {
                 unit.name()
             );
             if let Some(dip_deg) = dip_deg.filter(|_| axes == Axes::Nine) {
-                let sign = if dip_deg < 0.0 {
-                    " (up: south of the magnetic equator; north of it accelerometer or magnetometer have their signs turned)"
+                text += &if dip_deg < 0.0 {
+                    let up = -dip_deg;
+                    format!(
+                        "field: {up:.0}° above the horizon: right south of the magnetic equator; north of it accelerometer or magnetometer have their signs turned\n"
+                    )
                 } else {
-                    ""
+                    format!("field: {dip_deg:.0}° below the horizon\n")
                 };
-                text += &format!("field: {dip_deg:.0}° below the horizon{sign}\n");
             }
             for (reason, count) in &rejected {
                 text += &format!("rejected: {reason} in {count} samples\n");
