@@ -25,6 +25,8 @@ pub use export::{conditions_csv, factor_column, summary_json, trials_csv};
 pub use import::{Column, ColumnMap, Imported, Maps, Scaled, Streamed, Tool, import, stream, together};
 #[cfg(feature = "parquet")]
 pub use import::{ParquetText, parquet_text, write_parquet};
+#[cfg(feature = "sql")]
+pub use import::{SqlText, TABLE, sql_text};
 pub use plan::{Plan, PlannedBlock, PlannedTrial};
 pub use report::page;
 pub use study_file::{Instruction, Size, Study, TEMPLATE, Trigger};

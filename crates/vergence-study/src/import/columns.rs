@@ -187,6 +187,21 @@ impl ColumnMap {
         Ok(conventions)
     }
 
+    /// Columns of the table whose cells are names, also where they look like numbers.
+    pub fn texts(&self) -> Vec<&str> {
+        if self.columns.is_empty() {
+            return TEXTS.iter().copied().chain(self.factors.values().map(String::as_str)).collect();
+        }
+        let named = self.columns.iter().filter(|(own, _)| TEXTS.contains(&own.as_str()));
+        let columns = named.flat_map(|(_, column)| match column {
+            Column::Name(name) => std::slice::from_ref(name),
+            Column::Names(names) => names,
+            Column::Constant(_) | Column::Scaled(_) => &[],
+        });
+        let others = self.factors.values().chain(self.only.keys());
+        columns.chain(others).map(String::as_str).collect()
+    }
+
     fn seconds(&self) -> Result<f64, Error> {
         match self.time_unit.as_deref().unwrap_or("s") {
             "s" => Ok(1.0),

@@ -1,10 +1,12 @@
-//! Readers of other tools' recordings: text in, trials out. They open no file.
+//! Readers of other tools' recordings: text in, trials out. They open no file (but DataFusion does, behind the feature `sql`).
 
 mod columns;
 mod fittsstudy;
 mod gofitts;
 #[cfg(feature = "parquet")]
 mod parquet;
+#[cfg(feature = "sql")]
+mod sql;
 mod stream;
 mod threedfitts;
 
@@ -12,6 +14,8 @@ pub(crate) use columns::is_known;
 pub use columns::{Column, ColumnMap, Maps, Scaled};
 #[cfg(feature = "parquet")]
 pub use parquet::{ParquetText, parquet_text, write_parquet};
+#[cfg(feature = "sql")]
+pub use sql::{SqlText, TABLE, sql_text};
 pub use stream::{Streamed, stream};
 
 use crate::Error;

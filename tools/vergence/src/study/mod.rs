@@ -2,6 +2,7 @@
 
 mod parquet;
 mod run;
+mod sql;
 mod status;
 
 use std::collections::BTreeSet;
@@ -194,6 +195,10 @@ struct Input {
     /// Which sequences the law is fitted to: convex, pareto or all; default: the map's, else convex
     #[arg(long, value_name = "FRONT")]
     who_front: Option<String>,
+    /// Analyses the rows that a query finds, as in "SELECT * FROM trials WHERE participant <> 'P03'": the inputs, all .csv or
+    /// all .parquet, are the table `trials`. In builds with --features sql
+    #[arg(long, value_name = "QUERY")]
+    sql: Option<String>,
     /// Threads for tables above 64 MiB; 0: as many as there are processors
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -262,6 +267,9 @@ impl Input {
                 file.display()
             )));
         }
+        if let Some(query) = &self.sql {
+            return self.asked(&files, query);
+        }
         if files.iter().any(|file| is_log(file)) {
             return self.read_logs(&files);
         }
@@ -277,7 +285,9 @@ impl Input {
             let bytes = std::fs::metadata(file).map_err(unreadable)?.len();
             if has_ending(file, "parquet") {
                 if bytes > STREAM_BYTES / PARQUET_SHRINKS && files.len() == 1 {
-                    return self.streamed(file, parquet::text(file)?, bytes, |error| in_file(file, error));
+                    return self.streamed(&self.map(file)?, parquet::text(file)?, bytes, |error| {
+                        in_file(file, error)
+                    });
                 }
                 let mut text = String::new();
                 std::io::Read::read_to_string(&mut parquet::text(file)?, &mut text)
@@ -296,7 +306,7 @@ impl Input {
             };
             if tool == Tool::Csv && bytes > STREAM_BYTES && files.len() == 1 {
                 let input = File::open(file).map_err(unreadable)?;
-                return self.streamed(file, input, bytes, |error| in_file(file, error));
+                return self.streamed(&self.map(file)?, input, bytes, |error| in_file(file, error));
             }
             let map = if tool == Tool::Csv { self.map(file)? } else { ColumnMap::default() };
             let name = file.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
@@ -307,14 +317,31 @@ impl Input {
         Ok(Found::Trials(all))
     }
 
+    /// The rows that a query finds, in memory where they may be few.
+    fn asked(&self, files: &[PathBuf], query: &str) -> Result<Found, Failure> {
+        let mut map = self.map(&files[0])?;
+        let rows = sql::rows(files, &map, query)?;
+        map.delimiter = None;
+        let bytes: u64 =
+            files.iter().filter_map(|file| std::fs::metadata(file).ok()).map(|data| data.len()).sum();
+        let in_rows = |error: &Error| Failure::Work(format!("--sql: {error}"));
+        let shrinks = if files.iter().any(|file| has_ending(file, "parquet")) { PARQUET_SHRINKS } else { 1 };
+        if bytes > STREAM_BYTES / shrinks {
+            return self.streamed(&map, rows, bytes, in_rows);
+        }
+        let text = std::io::read_to_string(rows).map_err(|error| Failure::Work(error.to_string()))?;
+        let mut all = import(Tool::Csv, "--sql", &text, &map).map_err(|error| in_rows(&error))?;
+        all.conventions = self.conventions(all.conventions)?;
+        Ok(Found::Trials(all))
+    }
+
     fn streamed(
         &self,
-        file: &Path,
+        map: &ColumnMap,
         input: impl std::io::Read + Send,
         bytes: u64,
         in_file: impl Fn(&Error) -> Failure,
     ) -> Result<Found, Failure> {
-        let map = self.map(file)?;
         let conventions =
             self.conventions(map.resolved().map_err(|error| Failure::Call(error.to_string()))?)?;
         let threads = match self.threads {
@@ -322,7 +349,7 @@ impl Input {
             threads => threads,
         };
         let bar = progress(bytes);
-        let found = stream(input, &map, Some(&conventions), threads, |read| bar.set_position(read));
+        let found = stream(input, map, Some(&conventions), threads, |read| bar.set_position(read));
         bar.finish_and_clear();
         let found = found.map_err(|error| in_file(&error))?;
         Ok(Found::Sums(Box::new(found.analysis), found.warnings))
