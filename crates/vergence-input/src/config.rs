@@ -32,6 +32,7 @@ struct RawSerial {
     baud: Option<u32>,
     format: Option<RawFormat>,
     least_latency: Option<vergence_config::Duration>,
+    most_drift_ppm: Option<u32>,
     columns: Option<String>,
     #[serde(default)]
     streams: BTreeMap<String, String>,
@@ -49,6 +50,7 @@ struct RawSerialDevice {
     baud: Option<u32>,
     format: Option<RawFormat>,
     least_latency: Option<vergence_config::Duration>,
+    most_drift_ppm: Option<u32>,
     columns: Option<String>,
     streams: Option<BTreeMap<String, String>>,
 }
@@ -127,10 +129,18 @@ impl Config {
         #[cfg(feature = "serial")]
         {
             let file = SerialFile { path, text: std::fs::read_to_string(path).unwrap_or_default() };
-            let RawSerial { baud, format, least_latency, columns, streams, device } = raw.serial;
+            let RawSerial { baud, format, least_latency, most_drift_ppm, columns, streams, device } =
+                raw.serial;
             let streams = Some(streams).filter(|streams| !streams.is_empty());
-            let general =
-                RawSerialDevice { which: String::new(), baud, format, least_latency, columns, streams };
+            let general = RawSerialDevice {
+                which: String::new(),
+                baud,
+                format,
+                least_latency,
+                most_drift_ppm,
+                columns,
+                streams,
+            };
             config.serial = file.resolve(&general, config.serial.clone())?;
             for device in device {
                 if device.which.trim().is_empty() {
@@ -204,6 +214,13 @@ impl SerialFile<'_> {
                 let message = format!("expected a latency that is not negative, found {} s", least.seconds());
                 self.refuse("least_latency", &message)
             })?;
+        }
+        if let Some(most) = raw.most_drift_ppm {
+            if !vergence_time::ClockKnobs::DRIFTS_PPM.contains(&most) {
+                let message = format!("expected 10 to 50000 parts per million, found {most}");
+                return Err(self.refuse("most_drift_ppm", &message).into());
+            }
+            known.most_drift_ppm = most;
         }
         if let Some(streams) = &raw.streams {
             known.streams.clear();
@@ -309,6 +326,7 @@ mod tests {
             ("[serial]\nbaud = 0\n", ":2:1: expected bits per second, found 0"),
             ("[serial]\nleast_latency = \"-1 ms\"\n", ":2:1: expected a latency that is not negative"),
             ("[serial]\ncolumns = \"a;b\"\n", "found 'a;b'"),
+            ("[serial]\nmost_drift_ppm = 5\n", ":2:1: expected 10 to 50000 parts per million, found 5"),
             ("[[serial.device]]\nmatch = \"\"\n", ":2:1: expected a path"),
             ("[[serial.device]]\nbaud = 1\n", "match"),
             ("[[serial.device]]\nmatch = \"x\"\nbaud = 0\n", ":3:1"),

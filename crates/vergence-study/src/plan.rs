@@ -120,19 +120,20 @@ impl Study {
         }
         let repeats = self.repeat_above_error.map_or_else(String::new, |share| {
             format!(
-                " A sequence with more than {:.0} % misses was repeated, at most {} times; the last complete attempt counts.",
+                " A sequence with more than {:.0} % misses was repeated, at most {}; the last complete attempt counts.",
                 100.0 * share,
-                self.most_repeats
+                if self.most_repeats == 1 { "once".to_owned() } else { format!("{} times", self.most_repeats) }
             )
         });
+        let counted = |count: u32, of: &str| format!("{count} {of}{}", if count == 1 { "" } else { "s" });
         found.push(format!(
-            "{} practice movements and {} that count per sequence; {} sequences per condition in a block, {} blocks in each of {} \
-             sessions, {} s of rest between blocks. Order of instructions: {}; of conditions: {}.{repeats}",
-            self.practice,
+            "{} and {} that count per sequence; {} per condition in a block, {} in each of {}, {} s of rest between blocks. Order of \
+             instructions: {}; of conditions: {}.{repeats}",
+            counted(self.practice, "practice movement"),
             self.per_condition,
-            self.repetitions,
-            self.instructions.len(),
-            self.sessions,
+            counted(self.repetitions, "sequence"),
+            counted(self.instructions.len() as u32, "block"),
+            counted(self.sessions, "session"),
             self.break_s,
             self.instruction_order,
             self.condition_order

@@ -15,6 +15,9 @@ const EARLY_NS: i64 = -1_000_000_000;
 /// No latency is longer: the counter was set back, or the host slept.
 const LATE_NS: i64 = 10_000_000_000;
 
+/// A drift of this share of the bound is held back by it: what is known of oscillators pulls it a little below.
+const AT_BOUND: f64 = 0.97;
+
 /// Knobs of a [`ClockMap`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockKnobs {
@@ -32,9 +35,23 @@ pub struct ClockKnobs {
 }
 
 impl ClockKnobs {
+    /// What ceramic resonators are off by at most, parts per million.
+    pub const MOST_DRIFT_PPM: u32 = 5000;
+    /// What may be said of a clock, parts per million.
+    pub const DRIFTS_PPM: std::ops::RangeInclusive<u32> = 10..=50_000;
+
     /// A counter, no declared latency, a window of a minute.
     pub const fn new(counter: Counter) -> Self {
-        Self { counter, least_latency: Span::ZERO, window: Span::from_millis(60_000), most_drift_ppm: 5000 }
+        Self {
+            counter,
+            least_latency: Span::ZERO,
+            window: Span::from_millis(60_000),
+            most_drift_ppm: Self::MOST_DRIFT_PPM,
+        }
+    }
+
+    fn drift_bound_ppm(&self) -> u32 {
+        self.most_drift_ppm.clamp(*Self::DRIFTS_PPM.start(), *Self::DRIFTS_PPM.end())
     }
 }
 
@@ -49,6 +66,8 @@ pub struct ClockState {
     pub excess: Span,
     /// How often the device's clock was found set, forward, back, or begun anew.
     pub jumps: u32,
+    /// The drift is as much as [`ClockKnobs::most_drift_ppm`] allows: it may be more, and times err until that is raised.
+    pub drift_is_at_bound: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -103,7 +122,7 @@ impl ClockMap {
             bin_ns: window_ns / BINS as i64,
             ticks: 0,
             last: None,
-            edge: Edge::new(f64::from(knobs.most_drift_ppm.clamp(10, 50_000)) * 1e-6, window_ns),
+            edge: Edge::new(f64::from(knobs.drift_bound_ppm()) * 1e-6, window_ns),
             open: Point::default(),
             open_since: Timestamp::default(),
             line: Line::default(),
@@ -181,6 +200,10 @@ impl ClockMap {
             residual: Span::from_nanos(self.edge.residual_ns() as i64),
             excess: Span::from_nanos(self.excess_ns as i64),
             jumps: self.jumps,
+            drift_is_at_bound: self
+                .edge
+                .slope()
+                .is_some_and(|slope| slope.abs() > AT_BOUND * 1e-6 * f64::from(self.knobs.drift_bound_ppm())),
         }
     }
 }

@@ -284,6 +284,36 @@ fn a_bad_oscillator_is_a_slope() {
     }
 }
 
+/// An oscillator of resistor and capacitor is off by per cents: the map says that it is held back, and follows once that is allowed.
+#[test]
+fn a_clock_that_is_off_by_more_than_is_allowed_is_said_and_may_be_allowed() {
+    for drift_ppm in [-8000.0, 8000.0] {
+        let device = Device { drift_ppm, latency: Latency::Uniform(1.0, 8.0), ..Device::default() };
+        let readings = device.readings(30.0);
+        let mut held = ClockMap::new(ClockKnobs::new(device.counter));
+        let mut wide =
+            ClockMap::new(ClockKnobs { most_drift_ppm: 20_000, ..ClockKnobs::new(device.counter) });
+        let (mut bounded, mut free) = (0, 0);
+        for (index, &(captured, raw, arrived)) in readings.iter().enumerate() {
+            held.map(raw, Timestamp::from_nanos(arrived));
+            let mapped = wide.map(raw, Timestamp::from_nanos(arrived)).as_nanos();
+            if captured > 5_000_000_000 && index % 1000 == 0 {
+                bounded += u32::from(held.state().drift_is_at_bound);
+                free += u32::from(!wide.state().drift_is_at_bound);
+            }
+            if captured > 10_000_000_000 {
+                let error_ms = (mapped - captured) as f64 * 1e-6 - 1.0;
+                assert!(error_ms.abs() < 2.0 * BOUND_MS, "{drift_ppm}: {error_ms} ms at {captured} ns");
+            }
+        }
+        assert!(bounded >= 20 && free >= 23, "{drift_ppm}: {bounded} {free} {:?}", held.state());
+    }
+    let fine = Device { drift_ppm: 4500.0, ..Device::default() };
+    let mut map = ClockMap::new(ClockKnobs::new(fine.counter));
+    errors_ms(&fine.readings(30.0), &mut map);
+    assert!(!map.state().drift_is_at_bound, "{:?}", map.state());
+}
+
 /// Hours of a device at its worst: loads, stalls, bursts, clocks that are set, devices that begin anew, silence. The map
 /// is causal, its drift is one that an oscillator may have, and it does not panic.
 #[test]

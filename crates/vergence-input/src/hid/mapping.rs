@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 use vergence_sense::{ReadingKind, SourceStream};
+use vergence_time::ClockKnobs;
 
 use super::descriptor::{Layout, Number, Slot};
 use crate::error::Error;
@@ -28,6 +29,7 @@ struct Raw {
     time: Option<RawTime>,
     #[serde(default)]
     least_latency: Option<vergence_config::Duration>,
+    most_drift_ppm: Option<u32>,
     stream: Vec<RawStream>,
 }
 
@@ -94,6 +96,8 @@ pub struct Mapping {
     time: Option<(Locator, u64)>,
     /// What the fastest reading takes, seconds.
     pub(super) least_latency_s: f64,
+    /// How much the device's clock may be off, parts per million.
+    pub(super) most_drift_ppm: u32,
     wanted: Vec<Wanted>,
 }
 
@@ -298,6 +302,14 @@ impl Mapping {
             let offset = text.find("least_latency").unwrap_or(0);
             return Err(at(offset, "expected a latency that is not negative"));
         }
+        let most_drift_ppm = raw.most_drift_ppm.unwrap_or(ClockKnobs::MOST_DRIFT_PPM);
+        if !ClockKnobs::DRIFTS_PPM.contains(&most_drift_ppm) {
+            let offset = text.find("most_drift_ppm").unwrap_or(0);
+            return Err(at(
+                offset,
+                &format!("expected 10 to 50000 parts per million, found {most_drift_ppm}"),
+            ));
+        }
         let mut matches = Vec::new();
         for raw in raw.matches {
             let known =
@@ -352,6 +364,7 @@ impl Mapping {
             sequence: raw.sequence.as_ref().map(locator).transpose()?,
             time,
             least_latency_s: raw.least_latency.map_or(0.0, |latency| latency.seconds()),
+            most_drift_ppm,
             wanted,
         })
     }

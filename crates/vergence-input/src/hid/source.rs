@@ -108,7 +108,8 @@ impl HidSource {
         let least_latency = Span::from_secs_f64(mapping.least_latency_s).unwrap_or(Span::ZERO);
         let map = plan.time.as_ref().and_then(|(place, (nanos, ticks))| {
             let counter = Counter::new(u32::try_from(place.slot.bits).ok()?, *nanos, *ticks).ok()?;
-            Some(ClockMap::new(ClockKnobs { least_latency, ..ClockKnobs::new(counter) }))
+            let most_drift_ppm = mapping.most_drift_ppm;
+            Some(ClockMap::new(ClockKnobs { least_latency, most_drift_ppm, ..ClockKnobs::new(counter) }))
         });
         let now = clock.now();
         let mut source = Self {

@@ -1,6 +1,6 @@
 //! How a serial device is read, and what became of what it sent.
 
-use vergence_time::Span;
+use vergence_time::{ClockKnobs, Span};
 
 use super::describe::Description;
 use super::frame::Tally;
@@ -31,6 +31,9 @@ pub struct SerialConfig {
     pub columns: Option<Columns>,
     /// What the fastest reading takes from measurement to arrival, where it is declared. It is subtracted.
     pub least_latency: Span,
+    /// How much the device's clock may be off, parts per million, 10 to 50,000. Where it is off by more, times of capture err, and the
+    /// event `clock_off` says so.
+    pub most_drift_ppm: u32,
 }
 
 impl Default for SerialConfig {
@@ -41,6 +44,7 @@ impl Default for SerialConfig {
             streams: Vec::new(),
             columns: None,
             least_latency: Span::ZERO,
+            most_drift_ppm: ClockKnobs::MOST_DRIFT_PPM,
         }
     }
 }

@@ -144,8 +144,9 @@ impl SerialSource {
 
     /// Reads what `opener` opens, and asks it again after a loss.
     pub fn new(opener: Opener, config: SerialConfig, clock: Arc<dyn Clock>) -> Self {
-        let least_latency = config.least_latency;
-        let map = |counter| ClockMap::new(ClockKnobs { least_latency, ..ClockKnobs::new(counter) });
+        let (least_latency, most_drift_ppm) = (config.least_latency, config.most_drift_ppm);
+        let map =
+            |counter| ClockMap::new(ClockKnobs { least_latency, most_drift_ppm, ..ClockKnobs::new(counter) });
         let mut source = Self {
             port: None,
             opener,
