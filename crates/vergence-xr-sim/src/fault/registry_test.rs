@@ -10,11 +10,16 @@ use crate::entry;
 /// The registry lies in the sources of openxr-sys, which cargo knows.
 fn xr_xml() -> String {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let said = Command::new(&cargo).arg("-vV").output().unwrap();
+    let said = String::from_utf8(said.stdout).unwrap();
+    let host = said.lines().find_map(|line| line.strip_prefix("host: ")).expect("cargo names its host");
+    // What is not built here was not fetched here: other platforms' packages are not asked for.
     let output = Command::new(cargo)
-        .args(["metadata", "--format-version", "1", "--locked", "--offline"])
+        .args(["metadata", "--format-version", "1", "--locked", "--offline", "--filter-platform", host])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
         .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let package =
         metadata["packages"].as_array().unwrap().iter().find(|p| p["name"] == "openxr-sys").unwrap();
