@@ -16,8 +16,9 @@ use vergence_inertial::{Recording, Unit, score};
 /// A knob that is turned.
 type Knob = (&'static str, fn(&mut VergenceParams) -> &mut f64);
 
-/// All but the limits and what says how long a rest is: those are no matter of tuning.
-const KNOBS: [Knob; 20] = [
+/// All but the limits, what says how long a rest is, and how fast one must turn for readings of the field to be independent (about a
+/// radian in a second, which takes a hand from one place of a room's field to another): those are no matter of tuning.
+const KNOBS: [Knob; 19] = [
     ("latency_s", |p| &mut p.latency_s),
     ("mag_lag_s", |p| &mut p.mag_lag_s),
     ("tau_acc_s", |p| &mut p.tau_acc_s),
@@ -34,7 +35,6 @@ const KNOBS: [Knob; 20] = [
     ("offset_sigma_ut", |p| &mut p.offset_sigma_ut),
     ("field_noise_ut", |p| &mut p.field_noise_ut),
     ("field_outlier_ut", |p| &mut p.field_outlier_ut),
-    ("field_motion_deg_s", |p| &mut p.field_motion_deg_s),
     ("jump_ut", |p| &mut p.jump_ut),
     ("jump_offset", |p| &mut p.jump_offset),
     ("jump_field", |p| &mut p.jump_field),

@@ -96,6 +96,9 @@ knobs! { VergenceParams {
     rest_min_s: "s", 0.0..60.0, "how long it must be still to count as rest";
     rest_gyr_deg_s: "°/s", 0.001..100.0, "largest deviation of the rate at rest from its mean over half a second";
     rest_acc_m_s2: "m/s²", 0.001..20.0, "the same of the specific force";
+    start_s: "s", 0.1..1000.0, "longest time for which the start goes on without a rest: up, bias and north are looked for together";
+    start_acc_m_s2: "m/s²", 0.01..100.0, "strength of the acceleration in motion that the start supposes, until it has seen it";
+    start_pulse_rad_s: "rad/s", 0.1..100.0, "angular frequency that most of that acceleration is supposed to have";
     offset_sigma_ut: "µT", 0.0..1000.0, "standard deviation of the magnetometer's offset at the start: large learns one fast, and takes an uneven field for one";
     field_noise_ut: "µT", 0.01..1000.0, "unevenness of the field over 1 s of motion: large lets the heading follow the gyroscope longer";
     field_outlier_ut: "µT", 0.01..1000.0, "deviation beyond which a reading of the magnetometer loses weight";

@@ -1,6 +1,6 @@
 //! The earth's magnetic field and the magnetometer's offset, told apart by turning.
 
-use nalgebra::{Matrix3, SVector, Vector3};
+use nalgebra::{Matrix3, SVector, UnitQuaternion, Vector3};
 
 use super::params::{VergenceCoefficients, VergenceParams};
 use crate::filter::kalman::Estimate;
@@ -38,8 +38,8 @@ const CONFIRMED_S: f64 = 5.0;
 const CONFIRMED_MOST_S: f64 = 40.0;
 /// How fast confirmation is lost while readings deviate, seconds per second.
 const CONFIRMED_LOSS: f64 = 0.3;
-/// While the tilt settles the field is the mean over this time, seconds.
-const SETTLING_TAU_S: f64 = 1.0;
+/// While the tilt settles the field is the mean over this time at most, seconds.
+const SETTLING_TAU_S: f64 = 3.0;
 /// The rate from which turning counts, radians per second.
 pub(super) const TURNING: f64 = 20.0 * std::f64::consts::PI / 180.0;
 
@@ -48,6 +48,8 @@ pub(super) const TURNING: f64 = 20.0 * std::f64::consts::PI / 180.0;
 pub struct Field {
     pub(super) estimate: Estimate<6>,
     pub(super) known: bool,
+    /// Over how much of the start it is a mean, seconds.
+    settled_s: f64,
     /// Low-passed deviation in the sensor frame, and its square.
     deviation: Vector3<f64>,
     deviation_squared: f64,
@@ -55,7 +57,7 @@ pub struct Field {
     confirmed_s: f64,
 }
 
-saved!(Field { estimate, known, deviation, deviation_squared, confirmed_s });
+saved!(Field { estimate, known, settled_s, deviation, deviation_squared, confirmed_s });
 
 /// What one window of samples says.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -74,7 +76,7 @@ saved!(FieldWindow { field, level, rate, samples, length_s });
 /// How still the unit is, and whether it is known what is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Calmness {
-    /// The tilt has not been followed for long enough to be right.
+    /// It has just started: what is up may still be wrong.
     Settles,
     /// It moves.
     Moves,
@@ -100,6 +102,18 @@ impl FieldWindow {
         self.samples += 1.0;
     }
 
+    /// The level frame was turned by `turn`.
+    pub(super) fn turned(&mut self, turn: &UnitQuaternion<f64>) {
+        let turn = turn.to_rotation_matrix();
+        self.field = turn * self.field;
+        self.level = turn * self.level;
+    }
+
+    /// As [`Field::heading_rad`], of these readings alone.
+    pub(super) fn heading_rad(&self) -> Option<f64> {
+        (self.samples > 0.0).then(|| self.field.x.atan2(self.field.y))
+    }
+
     /// Mean rate of turning, radians per second.
     pub(super) fn mean_rate(&self) -> f64 {
         self.rate / self.samples
@@ -113,15 +127,16 @@ impl Field {
         Self {
             estimate: Estimate { x: SVector::zeros(), p: nalgebra::SMatrix::from_diagonal(&p) },
             known: false,
+            settled_s: 0.0,
             deviation: Vector3::zeros(),
             deviation_squared: 0.0,
             confirmed_s: 0.0,
         }
     }
 
-    /// The angle from the level frame's y to magnetic north, radians clockwise: what the frame must be turned by.
-    pub(super) fn heading_rad(&self) -> f64 {
-        self.estimate.x[0].atan2(self.estimate.x[1])
+    /// The angle from the level frame's y to magnetic north, radians clockwise: what the frame must be turned by; once there was a field.
+    pub(super) fn heading_rad(&self) -> Option<f64> {
+        self.known.then(|| self.estimate.x[0].atan2(self.estimate.x[1]))
     }
 
     /// Learns from one window; gives the square of what it deviated by, µT².
@@ -140,12 +155,14 @@ impl Field {
             let field = mean - level * self.estimate.x.fixed_rows::<3>(3);
             self.estimate.x.fixed_rows_mut::<3>(0).copy_from(&field);
             self.known = true;
+            self.settled_s = step_s;
             return 0.0;
         }
         if calmness == Calmness::Settles {
             // A tilt that is still wrong turns the field: that is no magnet.
             let field = mean - level * self.estimate.x.fixed_rows::<3>(3);
-            let share = (step_s / SETTLING_TAU_S).min(1.0);
+            self.settled_s = (self.settled_s + step_s).min(SETTLING_TAU_S);
+            let share = (step_s / self.settled_s).min(1.0);
             for i in 0..3 {
                 self.estimate.x[i] += (field[i] - self.estimate.x[i]) * share;
             }
@@ -207,12 +224,19 @@ impl Field {
         squared
     }
 
+    /// The level frame was turned by `turn`.
+    pub(super) fn turned(&mut self, turn: &UnitQuaternion<f64>) {
+        let field = turn * self.estimate.x.fixed_rows::<3>(0).into_owned();
+        self.estimate.x.fixed_rows_mut::<3>(0).copy_from(&field);
+    }
+
     /// The heading is lost; the offset is not.
     pub(crate) fn lost(&mut self) {
         for i in 0..3 {
             self.estimate.forget(i, UNKNOWN);
         }
         self.known = false;
+        self.settled_s = 0.0;
         self.deviation = Vector3::zeros();
         self.deviation_squared = 0.0;
     }

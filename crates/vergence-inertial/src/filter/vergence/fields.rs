@@ -1,6 +1,6 @@
 //! Two beliefs about the field, which differ in what a jump means while nothing turns; turning tells which is right.
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::field::{Calmness, Field, FieldWindow, Jump, TURNING};
 use super::params::{VergenceCoefficients, VergenceParams};
@@ -50,7 +50,7 @@ impl Fields {
     }
 
     /// As [`Field::heading_rad`].
-    pub(super) fn heading_rad(&self) -> f64 {
+    pub(super) fn heading_rad(&self) -> Option<f64> {
         self.leader().heading_rad()
     }
 
@@ -98,6 +98,12 @@ impl Fields {
             self.room_leads = false;
             self.led_s = 0.0;
         }
+    }
+
+    /// The level frame was turned by `turn`.
+    pub(super) fn turned(&mut self, turn: &UnitQuaternion<f64>) {
+        self.magnet.turned(turn);
+        self.room.turned(turn);
     }
 
     /// The heading is lost; the offset is not.

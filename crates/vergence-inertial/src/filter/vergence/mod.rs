@@ -5,8 +5,9 @@ mod fields;
 mod params;
 mod rates;
 mod rest;
+mod start;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::low_pass::LowPass;
 use super::saved::saved;
@@ -16,14 +17,12 @@ use field::{Calmness, FieldWindow};
 use fields::Fields;
 use rates::{Rates, TiltWindow};
 use rest::{Rest, Stillness};
+use start::Start;
 
 pub use params::{VergenceCoefficients, VergenceParams};
 
 /// Below this length the low-passed specific force says nothing about up, metres per second squared: free fall.
 const NO_GRAVITY: f64 = 1.0;
-
-/// After so many time constants of the accelerometer's low-pass the tilt is right also from a start in motion.
-const SETTLED: f64 = 2.0;
 
 /// The longest time that one reading of the magnetometer stands for, seconds.
 const FIELD_LONGEST_S: f64 = 1.0;
@@ -48,10 +47,8 @@ pub struct VergenceState {
     acc_inertial: Vector3<f64>,
     acc_left_s: f64,
     rest: Rest,
-    /// Whether up has been seen since the start or the last loss.
-    started: bool,
-    /// Seconds since then.
-    levelled_s: f64,
+    /// Instead of the low-pass and the rates' own learning, at first and after a loss.
+    start: Start,
     samples: f64,
     /// Samples of the window that had a specific force.
     tilted: f64,
@@ -71,8 +68,7 @@ saved!(VergenceState {
     acc_inertial,
     acc_left_s,
     rest,
-    started,
-    levelled_s,
+    start,
     samples,
     tilted,
     tilt_window,
@@ -82,6 +78,8 @@ saved!(VergenceState {
 /// Our own filter. The tilt is found as in VQF: the accelerometer low-passed in an almost inertial frame, where the motion's
 /// acceleration averages out. What is different:
 ///
+/// - **It starts in motion**: until the first rest, or for 20 s, up, velocity and bias are found together, from what accelerations are
+///   like (9 unknowns, some 70 times a second).
 /// - **The sensors' lag is taken out**: the answer is for now, not for when the reading was true.
 /// - **Scale and cross-axis errors of the gyroscope are learned** with its bias, from the tilt that they cause (12 unknowns,
 ///   corrected ten times a second). What is learned about an axis while it lies also serves when it stands: the heading's
@@ -112,8 +110,7 @@ impl Vergence {
             acc_inertial: Vector3::zeros(),
             acc_left_s: 0.0,
             rest: Rest::default(),
-            started: false,
-            levelled_s: 0.0,
+            start: Start::new(&Vector3::zeros(), &Vector3::repeat(coefficients.bias_p), &params),
             samples: 0.0,
             tilted: 0.0,
             tilt_window: TiltWindow::default(),
@@ -133,6 +130,7 @@ impl Vergence {
             s.rates = self.state.rates.clone();
             s.rates.lost(0.0, &next.coefficients);
         }
+        s.start = Start::new(&s.rates.bias(), &s.rates.bias_p(), &next.params);
         // Not the field: whatever misled it is met from the other side with an open mind.
         next
     }
@@ -142,38 +140,107 @@ impl Vergence {
         self.state.field.offset_ut()
     }
 
+    /// Turns the level frame so that `up`, of the inertial frame, is up in it. The field and its readings stay as they are in space.
+    fn level_to(&mut self, up: &Vector3<f64>) {
+        let s = &mut self.state;
+        let up = s.level_from_inertial * up;
+        let length = up.norm();
+        if length > NO_GRAVITY {
+            let turn = renormalised(level(&(up / length)));
+            s.level_from_inertial = renormalised(turn.into_inner() * s.level_from_inertial.into_inner());
+            s.field.turned(&turn);
+            s.field_window.turned(&turn);
+        }
+        self.find_north();
+    }
+
+    /// Turns the level frame to north: where the field says, or, before there is one, where the first readings say.
+    fn find_north(&mut self) {
+        let s = &mut self.state;
+        if let Some(heading) = s.field.heading_rad().or(s.field_window.heading_rad()) {
+            s.earth_from_level = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading);
+        }
+    }
+
+    /// Goes on from what the start has found.
+    fn end_start(&mut self) {
+        let (s, c) = (&mut self.state, &self.coefficients);
+        s.rates.begin(s.start.bias(), &s.start.bias_p(), c);
+        s.acc_low = LowPass::resting(&s.start.gravity(), &c.acc);
+        s.tilt_window = TiltWindow::default();
+        s.tilted = 0.0;
+    }
+
     fn end_window(&mut self) {
         let (s, p, c) = (&mut self.state, &self.params, &self.coefficients);
         let stillness = s.rest.end(s.rates.centre(), p, c);
         if let Stillness::RestsFarOff { rate } = stillness {
             // What was thought to be motion was bias: all but that starts anew.
+            s.rates.centre_on(rate, c);
             let rest = s.rest.clone();
             self.lost(0.0);
             self.state.rest = rest;
-            self.state.rates.centre_on(rate, &self.coefficients);
             return;
         }
         let rested = matches!(stillness, Stillness::Rests { .. });
-        s.levelled_s = if s.started { s.levelled_s + c.window_s } else { 0.0 };
         let calmness = match rested {
             true => Calmness::Rests,
-            false if s.levelled_s < SETTLED * p.tau_acc_s => Calmness::Settles,
+            false if s.start.runs() => Calmness::Settles,
             false => Calmness::Moves,
         };
-        // A window with holes says what it says about fewer samples; it is not used.
-        if s.tilted >= c.window {
+        if s.start.runs() {
+            if rested {
+                s.start.rest(&(s.inertial_from_sensor * s.rest.acc_mean()));
+                self.end_start();
+                let gravity = self.state.start.gravity();
+                self.level_to(&gravity);
+            }
+        } else if s.tilted >= c.window {
+            // A window with holes says what it says about fewer samples; it is not used.
             s.rates.learn(&s.tilt_window, stillness, s.rest.found(), p, c);
         }
+        let (s, p, c) = (&mut self.state, &self.params, &self.coefficients);
         // A slow magnetometer says something in some windows only.
         s.field_window.length_s = (s.field_window.length_s + c.window_s).min(FIELD_LONGEST_S);
         if s.field_window.samples > 0.0 {
             s.field.learn(&s.field_window, calmness, p, c);
-            s.earth_from_level = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), s.field.heading_rad());
             s.field_window = FieldWindow::default();
+            self.find_north();
         }
+        let s = &mut self.state;
         s.tilt_window = TiltWindow::default();
         s.samples = 0.0;
         s.tilted = 0.0;
+    }
+
+    /// Adds a reading of the magnetometer, if there is one, to its window.
+    #[inline]
+    fn add_field(&mut self, r: &Matrix3<f64>, mag_ut: Option<&Vector3<f64>>) {
+        if let Some(mag) = mag_ut {
+            let s = &mut self.state;
+            s.field_window.add(r, &caught_up(mag, &s.rate, self.coefficients.mag_lag_s), s.rate.norm());
+        }
+    }
+
+    /// A sample of the start.
+    #[cold]
+    fn step_start(&mut self, sample: &Clean, inertial: &Rotation3<f64>, felt: bool) {
+        let (s, p, c) = (&mut self.state, &self.params, &self.coefficients);
+        let acc = felt.then_some(&s.acc_inertial);
+        let changed = s.start.add(inertial.matrix(), acc, sample.step_s, p, c);
+        if felt {
+            let level = s.level_from_inertial.to_rotation_matrix();
+            self.add_field(&(level * inertial).into_inner(), sample.mag_ut.as_ref());
+        }
+        if changed {
+            let s = &mut self.state;
+            s.rates.set_bias(s.start.bias());
+            if !s.start.runs() {
+                self.end_start();
+            }
+            let gravity = self.state.start.gravity();
+            self.level_to(&gravity);
+        }
     }
 }
 
@@ -196,39 +263,36 @@ impl Core for Vergence {
             renormalised(s.inertial_from_sensor.into_inner() * turn(&(rate * sample.step_s)));
         s.samples += 1.0;
         let inertial = s.inertial_from_sensor.to_rotation_matrix();
+        let mut felt = true;
         if let Some(acc) = &sample.acc_m_s2 {
             s.acc = *acc;
             s.acc_inertial = inertial * caught_up(acc, &rate, c.acc_lag_s);
             s.acc_left_s = HELD_S;
-        } else if s.acc_left_s > 0.0 {
-            // What stands still while readings are missing is the direction in space, not in the sensor.
-            s.acc_left_s -= sample.step_s;
         } else {
-            if s.samples >= c.window {
-                self.end_window();
-            }
-            return;
+            // What stands still while readings are missing is the direction in space, not in the sensor.
+            felt = s.acc_left_s > 0.0;
+            s.acc_left_s -= sample.step_s;
         }
-        let acc_inertial = s.acc_inertial;
-        let mean = s.acc_low.step(&acc_inertial, &c.acc);
-        let up = s.level_from_inertial * mean;
-        let length = up.norm();
-        if length > NO_GRAVITY {
-            let up = up / length;
-            s.level_from_inertial = renormalised(level(&up) * s.level_from_inertial.into_inner());
-            let level = s.level_from_inertial.to_rotation_matrix();
-            let r = (level * inertial).into_inner();
-            // The first one is no correction, but where it all starts.
-            let up = if s.started { up } else { Vector3::z() };
-            s.started = true;
-            s.tilt_window.add(&r, &unbiased, &up, &(level * acc_inertial));
-            s.tilted += 1.0;
-            if let Some(mag) = &sample.mag_ut {
-                s.field_window.add(&r, &caught_up(mag, &rate, c.mag_lag_s), rate.norm());
+        if s.start.runs() {
+            self.step_start(sample, &inertial, felt);
+        } else if felt {
+            let up = s.level_from_inertial * s.acc_low.step(&s.acc_inertial, &c.acc);
+            let length = up.norm();
+            if length > NO_GRAVITY {
+                let up = up / length;
+                s.level_from_inertial = renormalised(level(&up) * s.level_from_inertial.into_inner());
+                let level = s.level_from_inertial.to_rotation_matrix();
+                let r = (level * inertial).into_inner();
+                s.tilt_window.add(&r, &unbiased, &up, &(level * s.acc_inertial));
+                s.tilted += 1.0;
+                self.add_field(&r, sample.mag_ut.as_ref());
             }
         }
-        s.rest.add(&sample.gyr_rad_s, &s.acc);
-        if s.samples >= c.window {
+        let s = &mut self.state;
+        if felt {
+            s.rest.add(&sample.gyr_rad_s, &s.acc);
+        }
+        if s.samples >= self.coefficients.window {
             self.end_window();
         }
     }
@@ -238,13 +302,12 @@ impl Core for Vergence {
         s.acc_low = LowPass::default();
         s.acc_left_s = 0.0;
         s.rest.lost();
-        s.started = false;
-        s.levelled_s = 0.0;
         s.samples = 0.0;
         s.tilted = 0.0;
         s.tilt_window = TiltWindow::default();
         s.field_window = FieldWindow::default();
         s.rates.lost(gap_s, c);
+        s.start = Start::new(&s.rates.bias(), &s.rates.bias_p(), &self.params);
         s.field.lost();
     }
 

@@ -53,6 +53,14 @@ pub struct VergenceParams {
     pub rest_gyr_deg_s: f64,
     /// The same of the specific force, metres per second squared. Default 0.2.
     pub rest_acc_m_s2: f64,
+    /// Longest time for which the start goes on without a rest, seconds; 6 to 60: gravity, bias and field are looked for together.
+    /// Default 20.
+    pub start_s: f64,
+    /// Strength of the acceleration in motion that the start supposes, each axis, metres per second squared; 1 to 10. Small: a bias
+    /// is believed earlier. Default 6.
+    pub start_acc_m_s2: f64,
+    /// Angular frequency that most of that acceleration is supposed to have, radians per second; 4 to 12. Default 8.
+    pub start_pulse_rad_s: f64,
     /// Standard deviation of the magnetometer's offset at the start, microteslas; 0.2 to 10. Large: learns an offset that was
     /// there from the start fast, and takes an uneven field for one. Default 0.8.
     pub offset_sigma_ut: f64,
@@ -96,6 +104,9 @@ impl Default for VergenceParams {
             rest_min_s: 1.5,
             rest_gyr_deg_s: 1.0,
             rest_acc_m_s2: 0.2,
+            start_s: 20.0,
+            start_acc_m_s2: 6.0,
+            start_pulse_rad_s: 8.0,
             offset_sigma_ut: 0.8,
             field_noise_ut: 6.0,
             field_outlier_ut: 2.5,
@@ -129,6 +140,9 @@ impl VergenceParams {
     }
 }
 
+/// Window of the start, seconds: short against the motion, longer than vibration.
+const START_WINDOW_S: f64 = 0.015;
+
 /// Time constant of the means that rest is told by, seconds.
 const REST_TAU_S: f64 = 0.5;
 
@@ -157,6 +171,9 @@ pub struct VergenceCoefficients {
     pub(super) tilt_r: f64,
     pub(super) tilt_r_before_rest: f64,
     pub(super) tilt_most: f64,
+    pub(super) start_window_s: f64,
+    /// What noise of the rate adds to the variance of up in the start, per second.
+    pub(super) start_q: f64,
     pub(super) rest_r: f64,
     pub(super) field_r: f64,
     pub(super) outlier_squared: f64,
@@ -188,6 +205,9 @@ impl VergenceCoefficients {
             tilt_r: square_rad(params.tilt_noise_deg_s) / window_s,
             tilt_r_before_rest: square_rad(params.tilt_noise_before_rest_deg_s) / window_s,
             tilt_most: params.tilt_outlier_deg_s.to_radians(),
+            // Less than a whole window by rounding is one.
+            start_window_s: (START_WINDOW_S - 0.5 * period_s).max(0.5 * period_s),
+            start_q: square_rad(params.tilt_noise_deg_s),
             rest_r: square_rad(params.rest_noise_deg_s) / window_s,
             field_r: params.field_noise_ut.powi(2) / window_s,
             outlier_squared: params.field_outlier_ut.powi(2),

@@ -151,6 +151,28 @@ impl Rates {
         }
     }
 
+    /// How well each component of the bias is known, (rad/s)².
+    pub(super) fn bias_p(&self) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| self.estimate.p[(i, i)])
+    }
+
+    /// Takes the bias as the start has it.
+    pub(super) fn set_bias(&mut self, bias: &Vector3<f64>) {
+        self.estimate.x.fixed_rows_mut::<3>(0).copy_from(bias);
+    }
+
+    /// Goes on from what the start has found: bias and covariance.
+    pub(super) fn begin(&mut self, bias: &Vector3<f64>, p: &Matrix3<f64>, c: &VergenceCoefficients) {
+        self.set_bias(bias);
+        for i in 0..3 {
+            self.estimate.forget(i, 0.0);
+        }
+        self.estimate.p.fixed_view_mut::<3, 3>(0, 0).copy_from(p);
+        if (bias - self.centre).amax() > c.bias_limit {
+            self.centre = *bias;
+        }
+    }
+
     /// Learns from one window.
     pub(super) fn learn(
         &mut self,

@@ -127,6 +127,11 @@ impl Rest {
         Stillness::Rests { rate: before.map(|rate| (rate, (c.rest_r + self.scatter) / BLOCK)) }
     }
 
+    /// Mean specific force over the last half second, sensor frame.
+    pub(super) const fn acc_mean(&self) -> &Vector3<f64> {
+        &self.acc_mean
+    }
+
     /// Whether there was a rest since the start.
     pub(super) const fn found(&self) -> bool {
         self.found
