@@ -9,6 +9,24 @@ pub enum Limit {
     Cost(f64),
     /// At most this error; the smallest cost within it is chosen.
     Error(f64),
+    /// At most both; the smallest cost is chosen.
+    Both {
+        /// At most this cost.
+        cost: f64,
+        /// At most this error.
+        error: f64,
+    },
+}
+
+impl Limit {
+    /// That of whoever may name a cost, an error, both or none.
+    pub fn of(cost: Option<f64>, error: Option<f64>) -> Option<Self> {
+        match (cost, error) {
+            (Some(cost), Some(error)) => Some(Self::Both { cost, error }),
+            (Some(cost), None) => Some(Self::Cost(cost)),
+            (None, error) => error.map(Self::Error),
+        }
+    }
 }
 
 impl Trade {
@@ -45,7 +63,7 @@ impl Trade {
     /// # Panics
     /// Where an index is not below the number of scales.
     pub fn choose(&self, cost: usize, error: usize, limit: Limit) -> Result<usize, Error> {
-        let noise = if matches!(limit, Limit::Error(_)) { 0.0 } else { self.error_noise };
+        let noise = if matches!(limit, Limit::Cost(_)) { self.error_noise } else { 0.0 };
         let front = self.front(cost, error, noise);
         let value = |index: &usize| &self.measurements[*index];
         // The front runs from cheap and wrong to dear and right.
@@ -62,6 +80,18 @@ impl Trade {
                 &self.errors[error],
                 most,
             ),
+            Limit::Both { cost: dearest, error: most } => {
+                let cheapest = self.choose(cost, error, Limit::Error(most))?;
+                let found = self.measurements[cheapest].costs[cost];
+                // The cheapest that errs so little is the one that comes nearest.
+                let nearest = front.iter().find(|i| **i == cheapest);
+                (
+                    nearest.filter(|_| found <= dearest),
+                    nearest.map(|i| (found, i)),
+                    &self.costs[cost],
+                    dearest,
+                )
+            }
         };
         chosen.copied().ok_or_else(|| Error::NothingFits {
             scale: scale.title(),

@@ -58,12 +58,14 @@ proptest! {
     fn a_choice_keeps_its_limit_is_the_best_that_does_and_is_never_beaten(
         values in prop::collection::vec((number(), number()), 0..40),
         most in number(),
+        other in number(),
     ) {
         let trade = trade(&values);
-        for limit in [Limit::Cost(most), Limit::Error(most)] {
+        for limit in [Limit::Cost(most), Limit::Error(most), Limit::Both { cost: other, error: most }] {
             let keeps = |v: (f64, f64)| finite(v) && match limit {
                 Limit::Cost(_) => v.0 <= most,
                 Limit::Error(_) => v.1 <= most,
+                Limit::Both { .. } => v.0 <= other && v.1 <= most,
             };
             match trade.choose(0, 0, limit) {
                 Ok(i) => {
@@ -71,7 +73,7 @@ proptest! {
                     for v in values.iter().filter(|v| keeps(**v)) {
                         let no_worse = match limit {
                             Limit::Cost(_) => values[i].1 <= v.1,
-                            Limit::Error(_) => values[i].0 <= v.0,
+                            Limit::Error(_) | Limit::Both { .. } => values[i].0 <= v.0,
                         };
                         prop_assert!(no_worse);
                     }
@@ -104,6 +106,13 @@ fn of_equal_measurements_the_first_is_taken() {
     assert_eq!(trade.choose(0, 0, Limit::Error(1.0)), Ok(0));
     let error = trade.choose(0, 0, Limit::Error(0.5)).unwrap_err();
     assert_eq!(error.to_string(), "expected a setting with e of at most 0.5, found at least 1.000000 (k 0)");
+    let both = |cost, error| trade.choose(0, 0, Limit::of(Some(cost), Some(error)).unwrap());
+    assert_eq!((both(2.0, 1.0), both(5.0, 2.5)), (Ok(0), Ok(1)));
+    let error = both(1.5, 1.5).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "expected a setting with c (ms) of at most 1.5, found at least 2.000000 (k 0)"
+    );
 }
 
 #[test]

@@ -76,9 +76,9 @@ struct RenderTrade {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Choose the smallest error that takes at most this time per stereo frame, such as 40ms
-    #[arg(long, value_name = "TIME", value_parser = milliseconds, conflicts_with = "error")]
+    #[arg(long, value_name = "TIME", value_parser = milliseconds)]
     budget: Option<f64>,
-    /// Choose the least time that errs at most this much
+    /// Choose the least time that errs at most this much; with --budget too, only within that
     #[arg(long, value_name = "ERROR")]
     error: Option<f64>,
     /// The error that plots, front and choice are about
@@ -142,11 +142,7 @@ const SAMPLE_ROOM: &str =
 impl RenderTrade {
     fn run(self) -> Result<(), Failure> {
         let error_scale = self.metric as usize;
-        let limit = match (self.budget, self.error) {
-            (Some(budget), _) => Some(Limit::Cost(budget)),
-            (_, Some(error)) => Some(Limit::Error(error)),
-            _ => None,
-        };
+        let limit = Limit::of(self.budget, self.error);
         let scenes = self.scenes_or_sample()?;
         Failure::unless_folder(&self.output)?;
         let plan = Plan { scenes, size: self.size, bench_view: self.view.is_some(), quick: self.quick };

@@ -31,9 +31,9 @@ pub struct ImuTrade {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Choose the smallest error that takes at most this time per sample, such as 100ns; writes imu.toml for `imu run --config`
-    #[arg(long, value_name = "TIME", value_parser = nanoseconds, conflicts_with = "error")]
+    #[arg(long, value_name = "TIME", value_parser = nanoseconds)]
     budget: Option<f64>,
-    /// Choose the least time that errs at most this much, such as 3deg
+    /// Choose the least time that errs at most this much, such as 3deg; with --budget too, only within that
     #[arg(long, value_name = "ANGLE", value_parser = degrees)]
     error: Option<f64>,
     /// Sensors that the choice is about: 6 is gyroscope and accelerometer, 9 also the magnetometer
@@ -218,7 +218,7 @@ impl ImuTrade {
     pub fn run(self) -> Result<(), Failure> {
         Failure::unless_folder(&self.output)?;
         let recordings = self.read()?;
-        let limit = self.budget.map(Limit::Cost).or(self.error.map(Limit::Error));
+        let limit = Limit::of(self.budget, self.error);
         let metric = self.metric as usize;
         let candidates = candidates(self.quick);
         let bar = ProgressBar::new(2 * candidates.len() as u64);

@@ -28,9 +28,9 @@ pub struct SlamTrade {
     #[arg(long, value_enum, default_value_t = Sensors::StereoInertial)]
     mode: Sensors,
     /// Choose the smallest error that takes at most this CPU time per frame, such as 8ms; writes slam.toml for `slam run --config`
-    #[arg(long, value_name = "TIME", value_parser = super::milliseconds, conflicts_with = "error")]
+    #[arg(long, value_name = "TIME", value_parser = super::milliseconds)]
     budget: Option<f64>,
-    /// Choose the least time that errs at most so many metres
+    /// Choose the least time that errs at most so many metres; with --budget too, only within that
     #[arg(long, value_name = "METRES")]
     error: Option<f64>,
     /// Frames that are followed at most
@@ -184,7 +184,7 @@ impl SlamTrade {
         for warning in &warnings {
             eprintln!("vergence: {warning}");
         }
-        let limit = self.budget.map(Limit::Cost).or(self.error.map(Limit::Error));
+        let limit = Limit::of(self.budget, self.error);
         let choice = limit.map(|limit| trade.choose(0, 0, limit)).transpose();
         let chosen = choice.as_ref().ok().copied().flatten();
         let frames = dataset.frames.len();
