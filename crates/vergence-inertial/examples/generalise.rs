@@ -16,11 +16,10 @@ use vergence_inertial::{Recording, Unit, score};
 /// A knob that is turned.
 type Knob = (&'static str, fn(&mut VergenceParams) -> &mut f64);
 
-/// All but the limits, what says how long a rest is, and how fast one must turn for readings of the field to be independent (about a
-/// radian in a second, which takes a hand from one place of a room's field to another): those are no matter of tuning.
-const KNOBS: [Knob; 19] = [
-    ("latency_s", |p| &mut p.latency_s),
-    ("mag_lag_s", |p| &mut p.mag_lag_s),
+/// All but the limits and what is no matter of tuning: how late the unit reads ([`Unit`], measured against cameras), what says how long a
+/// rest is, how a start goes on without one, and how fast one must turn for readings of the field to be independent (about a radian in a
+/// second, which takes a hand from one place of a room's field to another).
+const KNOBS: [Knob; 17] = [
     ("tau_acc_s", |p| &mut p.tau_acc_s),
     ("window_s", |p| &mut p.window_s),
     ("bias_sigma_deg_s", |p| &mut p.bias_sigma_deg_s),
