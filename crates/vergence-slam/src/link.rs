@@ -197,6 +197,11 @@ impl Link {
         (pose, Motion { velocity_m_s: end.velocity_m_s, biases: motion.biases })
     }
 
+    /// White noise of the accelerometer, as it is taken, m/s²/√Hz.
+    pub(crate) fn acc_noise(&self) -> f64 {
+        self.noise.acc_m_s2_rthz
+    }
+
     /// s.
     pub(crate) fn seconds(&self) -> f64 {
         self.sum.seconds()
@@ -209,6 +214,12 @@ impl Link {
         motion.velocity_m_s -= self.gravity * t;
         let position = pose.translation.vector - self.gravity * (0.5 * t * t);
         (Rigid::from_parts(position.into(), pose.rotation), motion)
+    }
+
+    /// Derivatives of position and velocity by the accelerometer's bias, in the axes of the first frame.
+    pub(crate) fn by_acc_bias(&self) -> (Matrix3<f64>, Matrix3<f64>) {
+        let by = self.sum.by_biases();
+        (by.fixed_view::<3, 3>(0, 3).into_owned(), by.fixed_view::<3, 3>(3, 3).into_owned())
     }
 
     /// Not whitened: position, velocity, rotation, gyroscope's bias, accelerometer's bias.

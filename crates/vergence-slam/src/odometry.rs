@@ -15,6 +15,7 @@ use crate::params::Params;
 use crate::shrink::{Leaving, Shrink};
 use crate::sighting::{Sighting, Way};
 use crate::state::State;
+use crate::stillness::Stillness;
 use crate::window::{Anchor, Frame, Observation, Point, Window};
 
 /// One frame's answer.
@@ -61,6 +62,7 @@ pub struct Odometry {
     /// Working memory.
     residuals: Vec<Option<f64>>,
     shrink: Shrink,
+    stillness: Stillness,
     next_id: u64,
     pub(crate) settled: bool,
     /// One camera and an inertial unit: there is a guess of velocity and gravity.
@@ -80,7 +82,7 @@ pub struct Odometry {
 }
 
 /// Fewer points than this hold no pose.
-const FEWEST: usize = 6;
+pub(crate) const FEWEST: usize = 6;
 /// Time for which the inertial unit alone carries it until it is lost, s.
 const LONGEST_UNSEEN_S: f64 = 2.0;
 /// Readings farther apart than this, and than so many of the shortest periods, say nothing of what was between them: ns, periods.
@@ -119,6 +121,7 @@ impl Odometry {
             normal: Normal::default(),
             residuals: Vec::new(),
             shrink: Shrink::default(),
+            stillness: Stillness::default(),
             next_id: 0,
             settled: false,
             flying: false,
@@ -466,26 +469,12 @@ impl Odometry {
         minimise(&mut self.window, &mut self.normal, &options);
     }
 
-    /// Whether the corners and the inertial unit agree that nothing moves.
-    fn stands_still(&self, frame: &Frame) -> bool {
-        let (Some(before), Some(link)) = (self.window.frames.last(), &frame.link) else { return false };
-        if !link.is_quiet(&before.motion_now().biases, self.window.params.gravity_m_s2) {
-            return false;
-        }
-        let mut moved: Vec<f64> = frame
-            .seen
-            .iter()
-            .filter_map(|s| {
-                let same =
-                    before.seen.binary_search_by_key(&(s.track, s.camera), |b| (b.track, b.camera)).ok()?;
-                Some((s.px_by_direction * before.seen[same].direction).norm())
-            })
-            .collect();
-        if moved.len() < 2 * FEWEST {
-            return false;
-        }
-        let middle = moved.len() / 2;
-        *moved.select_nth_unstable_by(middle, f64::total_cmp).1 < 0.3
+    /// Whether the corners and the inertial unit agree that nothing moves, and how well that is known.
+    fn stands_still(&mut self, frame: &Frame) -> Option<f64> {
+        let before = self.window.frames.last().map(Frame::motion_now).unwrap_or_default();
+        let gravity_m_s2 = self.window.params.gravity_m_s2;
+        let quiet = frame.link.as_ref().is_some_and(|link| link.is_quiet(&before.biases, gravity_m_s2));
+        self.stillness.judge(frame.time, &frame.seen, quiet)
     }
 
     /// Sightings that lie far off are thrown away, and points that are left with too few.
@@ -670,7 +659,7 @@ impl Odometry {
         if !self.settled {
             // Without an inertial unit the first camera is level.
             let tilt = if params.inertial.is_some() { tilt_rad } else { 0.0 };
-            let standing = self.window.frames.last().is_some_and(|f| f.still) && count > 2;
+            let standing = self.window.frames.last().is_some_and(|f| f.still.is_some()) && count > 2;
             self.settled = params.inertial.is_none() && count > 2
                 || (count >= params.first_frames && tilt < GRAVITY_RAD
                     || standing && tilt < 2.0 * GRAVITY_RAD

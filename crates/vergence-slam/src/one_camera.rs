@@ -2,9 +2,9 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use vergence_geom::Rigid;
-use vergence_inertial::preintegrate::Biases;
 
-use crate::bootstrap::{Flight, Pair, two_views};
+use crate::bootstrap::{Pair, two_views};
+use crate::flight::{ACC_BIAS, Flight, Start};
 use crate::link::{Link, Motion};
 use crate::odometry::{Odometry, seconds};
 use crate::sighting::Sighting;
@@ -14,10 +14,10 @@ use crate::window::Window;
 const PARALLAX_PX: f64 = 25.0;
 /// Corners that both views must share.
 const SHARED: usize = 30;
-/// Time between two attempts at velocity and gravity (each takes as long as ten frames or more); the span before the first, before one is
-/// believed, and the longest that an attempt takes, s.
-const EVERY_S: f64 = 0.175;
-const SPAN_S: (f64, f64, f64) = (0.375, 0.7, 2.5);
+/// Time between two attempts at velocity and gravity; the span before they are guessed, before one is believed, and the longest that an attempt
+/// takes, s.
+const EVERY_S: f64 = 0.09;
+const SPAN_S: (f64, f64, f64) = (0.09, 0.7, 2.5);
 /// Views and corners that an attempt takes.
 const VIEWS: usize = 10;
 const CORNERS: usize = 40;
@@ -191,7 +191,8 @@ impl Odometry {
                 let first = &mut self.window.frames[0];
                 first.link = None;
                 if let Some(anchor) = &mut self.window.anchor {
-                    (anchor.frame, anchor.pose, anchor.motion) = (first.id, first.pose, first.motion_now());
+                    (anchor.frame, anchor.pose) = (first.id, first.pose);
+                    anchor.motion.velocity_m_s = first.motion_now().velocity_m_s;
                     anchor.tilt_rad = 0.3;
                     anchor.velocity_m_s = 3.0;
                 }
@@ -214,7 +215,7 @@ impl Odometry {
     fn flown(&mut self) -> bool {
         let count = self.window.frames.len();
         let (first, last) = (&self.window.frames[0], &self.window.frames[count - 1]);
-        if count < 2 || self.window.frames.iter().filter(|f| f.still).count() * 2 > count {
+        if count < 2 || self.window.frames.iter().filter(|f| f.still.is_some()).count() * 2 > count {
             return count > 1;
         }
         let span = last.time.since(first.time).map_or(0.0, |s| s.as_secs_f64());
@@ -234,42 +235,47 @@ impl Odometry {
                 .filter_map(|k| Some((k, same(&self.window.frames[k].seen, s.track)?)))
                 .map(|(k, s)| (k, camera.rotation * s.direction, camera.translation.vector))
                 .collect();
-            if views.len() >= 4 && tracks.len() < CORNERS {
+            if views.len() >= count.min(4) {
                 tracks.push(views);
             }
         }
-        let params = self.window.params;
-        let flight = Flight { links, tracks, gravity_m_s2: params.gravity_m_s2, rad: self.direction_rad() };
-        let guess = first.motion_now().biases.gyr_rad_s;
-        let found = (flight.tracks.len() >= CORNERS / 2).then(|| flight.start(&guess)).flatten();
-        let Some(start) = found.filter(|s| s.misfit < 4.0) else { return false };
+        // Tracks are in the order of cells of the picture: some from everywhere.
+        let every = tracks.len().div_ceil(CORNERS).max(1);
+        let tracks: Vec<_> = tracks.into_iter().step_by(every).collect();
+        if tracks.len() < CORNERS / 2 {
+            return false;
+        }
+        let gravity_m_s2 = first.pose.rotation.inverse() * self.window.params.gravity();
+        let mut flight = Flight::new(links, tracks, gravity_m_s2, self.direction_rad());
+        let fits = |start: &Start| start.misfit < 4.0;
+        let is_sure = |start: &Start| {
+            start.velocity_sigma_m_s * start.misfit.max(1.0) < 0.1 + 0.2 * start.velocity_m_s.norm()
+                && start.biases.acc_m_s2.norm() < 3.0 * ACC_BIAS
+        };
+        // Until the readings say how far things are it is a guess: they are taken to be as far away as in a room.
+        let room = flight.in_a_room().filter(fits);
+        let sure = (span >= SPAN_S.1).then(|| flight.anywhere()).flatten();
+        let sure = sure.filter(|start| fits(start) && is_sure(start));
+        let is_sure = sure.is_some();
+        let Some(start) = sure.or(room) else { return false };
         let Some(level) = UnitQuaternion::rotation_between(&-start.gravity_m_s2, &Vector3::y()) else {
             return false;
         };
-        let speed = start.velocity_m_s.norm();
-        let sure = span >= SPAN_S.1 && start.velocity_sigma_m_s < 0.1 + 0.2 * speed;
-        // Until then it is a guess, the shorter the less is known: the mean of what is found and of standing still.
-        let variance = start.velocity_sigma_m_s.powi(2);
-        let trust = if sure { 1.0 } else { speed.powi(2) / (speed.powi(2) + variance).max(1e-12) };
-        let biases = Biases { gyr_rad_s: start.gyr_bias_rad_s, acc_m_s2: start.acc_bias_m_s2 };
         let place = first.pose.translation.vector;
         let mut pose = Rigid::from_parts(place.into(), level);
-        let mut motion = Motion { velocity_m_s: level * start.velocity_m_s, biases };
+        let mut motion = Motion { velocity_m_s: level * start.velocity_m_s, biases: start.biases };
         if let Some(anchor) = &mut self.window.anchor {
-            anchor.pose = pose;
-            anchor.motion = motion;
-            anchor.tilt_rad = if sure { 0.1 } else { 0.3 };
-            anchor.velocity_m_s = if sure { 0.5 } else { 3.0 };
+            // What is known of biases before does not come from what is seen.
+            (anchor.pose, anchor.motion.velocity_m_s) = (pose, motion.velocity_m_s);
+            (anchor.tilt_rad, anchor.velocity_m_s) = if is_sure { (0.1, 0.5) } else { (0.3, 3.0) };
         }
         for frame in &mut self.window.frames {
             if let Some(link) = &frame.link {
                 (pose, motion) = link.follow(&pose, &motion);
             }
-            let way = (pose.translation.vector - place) * trust;
-            frame.pose = Rigid::from_parts((place + way).into(), pose.rotation);
-            frame.motion = Some(Motion { velocity_m_s: motion.velocity_m_s * trust, ..motion });
+            (frame.pose, frame.motion) = (pose, Some(motion));
         }
         self.flying = true;
-        sure
+        is_sure
     }
 }

@@ -5,7 +5,7 @@ use vergence_solve::Stack;
 
 use crate::link::{motion_step, pose_step};
 use crate::sighting::Way;
-use crate::window::{STILL_M_S, Window};
+use crate::window::Window;
 
 /// What leaves: keyframes and latest frames whole, or only the motion of a frame that stays as a keyframe.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -140,11 +140,11 @@ impl Shrink {
                     rows[i * width + next] = r[i];
                 }
             }
-            if frame.still && stilled(slot) && motions[slot] {
-                let r = frame.motion_now().velocity_m_s / STILL_M_S;
+            if let (Some(sigma), true, true) = (frame.still, stilled(slot), motions[slot]) {
+                let r = frame.motion_now().velocity_m_s / sigma;
                 let rows = stack.append(3);
                 for i in 0..3 {
-                    put(rows, i, motion_key(slot), &|c| if c == i { 1.0 / STILL_M_S } else { 0.0 }, 3);
+                    put(rows, i, motion_key(slot), &|c| if c == i { 1.0 / sigma } else { 0.0 }, 3);
                     rows[i * width + next] = r[i];
                 }
             }

@@ -26,8 +26,8 @@ pub(crate) struct Frame {
     pub(crate) seen: Vec<Sighting>,
     /// From the frame before.
     pub(crate) link: Option<Link>,
-    /// It stands still.
-    pub(crate) still: bool,
+    /// It stands still: standard deviation of its velocity, m/s.
+    pub(crate) still: Option<f64>,
     /// Where it was guessed to be: without an inertial unit, what holds a frame that sees nothing.
     pub(crate) guess: Option<Rigid>,
     before: (Rigid, Option<Motion>),
@@ -45,7 +45,7 @@ impl Frame {
             keyframe: false,
             seen: Vec::new(),
             link: None,
-            still: false,
+            still: None,
             guess: None,
             before: (pose, motion),
         }
@@ -178,8 +178,6 @@ impl Relative {
     }
 }
 
-/// Standard deviation of the velocity of what stands still, m/s.
-pub(crate) const STILL_M_S: f64 = 0.003;
 /// Of a guess by images alone, m and rad: only holds what nothing else holds.
 const GUESS: f64 = 1.0;
 /// Nearest point, 1/m.
@@ -434,11 +432,11 @@ impl Window {
                     }
                 }
             }
-            if let (true, Some(column)) = (frame.still, self.motion_at[slot]) {
-                let r = frame.motion_now().velocity_m_s / STILL_M_S;
+            if let (Some(sigma), Some(column)) = (frame.still, self.motion_at[slot]) {
+                let r = frame.motion_now().velocity_m_s / sigma;
                 cost += 0.5 * r.norm_squared();
                 if let Some(normal) = normal.as_deref_mut() {
-                    normal.add_square(column, &(Matrix3::identity() / STILL_M_S), &r, 1.0);
+                    normal.add_square(column, &(Matrix3::identity() / sigma), &r, 1.0);
                 }
             }
             if let Some(guess) = &frame.guess {

@@ -54,11 +54,30 @@ fn a_half_real_flight() {
 fn a_half_real_flight_with_one_camera() {
     let Some(folder) = recording("half_real_v101_14s") else { return skip("no half-real flight") };
     let dataset = Dataset::open(&folder).unwrap();
-    // Slow and even: it takes ten seconds to know the scale. Seen: 0.057 m, 1.019.
+    // Slow and even: it takes ten seconds to know the scale. Seen: 0.034 m, 1.015.
     let (_, found) = follow(&dataset, Mode::MonoInertial, Align::Se3);
-    assert!(found.ate_rmse_m < 0.08 && (found.scale - 1.0).abs() < 0.04, "{}", found.ate_rmse_m);
+    assert!(found.ate_rmse_m < 0.05 && (found.scale - 1.0).abs() < 0.04, "{}", found.ate_rmse_m);
     let (_, found) = follow(&dataset, Mode::Mono, Align::Sim3);
     assert!(found.ate_rmse_m < 0.05, "{}", found.ate_rmse_m);
+}
+
+/// One camera that begins anywhere in the flight, at 0.1 to 0.4 m/s. Seen: 14 to 27 mm over six seconds, provisional poses included; where the
+/// way that looks the same the other way round is not tried, 2.1 m and 0.2 m from the last two on.
+#[test]
+fn one_camera_begins_in_motion() {
+    let Some(folder) = recording("half_real_v101_14s") else { return skip("no half-real flight") };
+    let whole = Dataset::open(&folder).unwrap();
+    for begin in [50, 75, 100, 125] {
+        let mut part = whole.clone();
+        part.frames = part.frames[begin..begin + 120].to_vec();
+        let first = part.frames[0].at;
+        let samples = &mut part.inertial.as_mut().unwrap().samples;
+        samples.retain(|(at, _)| at.since(first).is_some_and(|since| since.as_secs_f64() > -0.06));
+        let (run, found) = follow(&part, Mode::MonoInertial, Align::Se3);
+        assert!(found.ate_rmse_m < 0.045, "from frame {begin}: {} m", found.ate_rmse_m);
+        let tracked = run.estimates.iter().position(|e| e.state == State::Tracked).unwrap();
+        assert!(tracked <= 40, "from frame {begin}: tracked after {tracked} frames");
+    }
 }
 
 #[test]

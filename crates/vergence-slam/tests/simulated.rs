@@ -4,7 +4,7 @@
 
 mod support;
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use support::{Run, Tracks, box_room, euroc, euroc_imu, run, skip, tum};
 use vergence_geom::Rigid;
 use vergence_inertial::motion::{Motion, Wander, WanderParams};
@@ -57,14 +57,13 @@ fn mono_inertial(motion: &SplineMotion, from_s: i64, seconds: f64) -> Run {
     run(&mut odometry, motion, &euroc_imu(3), &mut tracks, from, seconds, 20.0)
 }
 
-/// Seen over 20 s: the scale within 0.5 % on all of them, and from 5 s on room1 and 8 s on V1_01, too. What is left of the error are the
-/// provisional poses before it flies.
+/// Seen: 0.030, 0.066 and 0.010 m, provisional poses included, and the scale within 0.5 % on all of them.
 #[test]
 fn true_flights_with_one_camera() {
     for (name, from_s, bar_m) in [
-        ("V1_02_medium.tum.txt", 20, 0.2),
-        ("MH_03_medium.tum.txt", 30, 0.4),
-        ("dataset-room1_512_16.tum.txt", 31, 0.12),
+        ("V1_02_medium.tum.txt", 20, 0.06),
+        ("MH_03_medium.tum.txt", 30, 0.12),
+        ("dataset-room1_512_16.tum.txt", 31, 0.03),
     ] {
         let Some(motion) = motion(name) else { return skip("no trajectories") };
         let run = mono_inertial(&motion, from_s, 10.0);
@@ -81,6 +80,23 @@ fn true_flights_with_one_camera() {
         let tracked = run.estimates.iter().position(|e| e.state == State::Tracked).unwrap();
         assert!(tracked <= 40, "{name}: tracked after {tracked} frames");
     }
+}
+
+/// A slow slide: corners move by a tenth of a pixel from one frame to the next. Seen: 0.2 mm; 1.5 mm where two frames alone say what stands.
+#[test]
+fn what_creeps_does_not_stand_still() {
+    let upright = UnitQuaternion::rotation_between(&Vector3::x(), &Vector3::z()).unwrap();
+    let pose = |t: f64| Rigid::from_parts(Vector3::new(0.015 * t, 0.004 * t, 1.4).into(), upright);
+    let poses: Vec<_> =
+        (0..300).map(|k| (Timestamp::from_nanos(k * 50_000_000), pose(k as f64 * 0.05))).collect();
+    let motion = SplineMotion::new(&poses, Span::from_millis(50)).unwrap();
+    let cameras = euroc();
+    let mut tracks = Tracks::new(room(&motion), cameras.clone(), 150, 0.1, 7);
+    let mut odometry = Odometry::new(Params::default(), cameras.iter().map(|c| c.body_from_camera).collect());
+    let from = motion.start().saturating_add(Span::from_millis(1000));
+    let run = run(&mut odometry, &motion, &euroc_imu(3), &mut tracks, from, 12.0, 20.0);
+    run.print("creeping");
+    assert!(run.ate_m() < 0.001, "{} m", run.ate_m());
 }
 
 /// Over the whole 80 s (VERGENCE_SLAM_LONG=1): 0.0102, 0.0164, 0.0220, 0.0067 m. A peer's simulator of the same kind

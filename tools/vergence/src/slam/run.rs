@@ -347,7 +347,7 @@ impl Args {
                 "coasting_frames": coasting,
                 "lost_frames": lost,
                 "keyframes": keyframes,
-                "cpu_ms_per_frame": { "median": median, "p95": p95 },
+                "cpu_ms_per_frame": { "median": median, "p95": p95, "max": outcome.quantile_ms(1.0) },
                 "peak_rss_mb": peak_rss_mb(),
                 "disagreeing_frames": outcome.count(|s| s == State::Disagreeing),
                 "frames_by_state": outcome.by_state(),
