@@ -2,7 +2,7 @@ use std::str::FromStr;
 
 use num_bigint::BigInt;
 use num_rational::BigRational;
-use num_traits::{Signed as _, ToPrimitive as _, Zero as _};
+use num_traits::{Float as _, Signed as _, ToPrimitive as _, Zero as _};
 
 use crate::Error;
 
@@ -20,11 +20,18 @@ pub struct Decimal {
 impl Decimal {
     /// The exact value of a double (0.1 becomes the 55 digits it stands for); none where it is not finite.
     pub fn from_f64(value: f64) -> Option<Self> {
-        let rational = BigRational::from_float(value)?;
-        // The denominator is a power of two: as many factors of five make it a power of ten.
-        let twos = rational.denom().bits() - 1;
-        let twos = u32::try_from(twos).ok()?;
-        Some(Self { digits: rational.numer() * BigInt::from(5).pow(twos), places: i32::try_from(twos).ok()? })
+        if !value.is_finite() {
+            return None;
+        }
+        let (mantissa, exponent, sign) = value.integer_decode();
+        let spare = mantissa.trailing_zeros() % 64;
+        let (odd, power) = (BigInt::from(mantissa >> spare) * sign, i32::from(exponent) + spare as i32);
+        Some(match u32::try_from(-power) {
+            // Over a power of two: as many factors of five make it a power of ten.
+            Ok(twos) if mantissa > 0 => Self { digits: odd * BigInt::from(5).pow(twos), places: -power },
+            Ok(_) => Self { digits: odd, places: 0 },
+            Err(_) => Self { digits: odd << power.unsigned_abs(), places: 0 },
+        })
     }
 
     /// The nearest double; infinite beyond the largest.
